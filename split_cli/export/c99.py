@@ -190,6 +190,7 @@ def _step(values: dict[str, str], graph: NominalGraph, provenance: Provenance, r
     }
     kind, kept = "memory_step" if graph.memory else "step", memory_parts(graph.memory)
     kept = (*kept, "knowledge") if graph.asks_knowledge else kept
+    values["RESPONDING"] = "STATES - 3" if graph.feeds_back else "3"
     values["SITUATION"] = str(graph.rates.size1_in(1))
     values["KNOWLEDGE_HELD"] = ", knowledge" if graph.asks_knowledge else ""
     values["KNOWLEDGE_TEXT"] = _KNOWLEDGE_TEXT if graph.asks_knowledge else ""

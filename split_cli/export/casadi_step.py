@@ -95,14 +95,17 @@ def stepped(
     f, A = whole_model(graph, memory)(acting, moving, situation)
     residual = residual if tau is None else tau * residual
     substeps = casadi_substeps(graph)
-    change = h * residual if plain else linear_response(A[3:6, 3:6], residual, h, substeps)
     after = acting + linear_response(A, f, h, substeps)
+    last = memory.continuous if graph.feeds_back else 6
+    pushed = casadi.vertcat(residual, casadi.MX.zeros(last - 6))
+    change = h * pushed if plain else linear_response(A[3:last, 3:last], pushed, h, substeps)
+    remembered = after[8:] + change[5:] if graph.feeds_back else after[8:]
     line, begin = [], memory.continuous
     for c, length in enumerate(memory.lengths):
         if length:
             line += [x[6 + c], x[begin : begin + length - 1]]
         begin += length
-    following = casadi.vertcat(after[:3], after[3:6] + change, x[6:8] + h * u, after[8:], *line)
+    following = casadi.vertcat(after[:3], after[3:6] + change[:3], x[6:8] + h * u, remembered, *line)
     return following + whether_interval_fits(memory, h) if memory.line else following
 
 

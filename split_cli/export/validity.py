@@ -49,8 +49,8 @@ def valid_state_function(
 
 def is_valid_state(training_set: TrainingSet, z: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Return what `valid_state_function` must answer, of features (N, D) and v_x (N,) [m/s], bool shape (N,)."""
-    fast: np.ndarray = speed > training_set.region.minimum_speed
-    return is_valid(training_set, z) & fast
+    inside: np.ndarray = is_valid(training_set, z) & (speed > training_set.region.minimum_speed)
+    return inside
 
 
 def is_valid(training_set: TrainingSet, z: np.ndarray) -> np.ndarray:

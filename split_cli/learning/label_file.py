@@ -125,7 +125,9 @@ def _labels_from_table(table: pa.Table, stored: Mapping[str, Any]) -> Labels:
     described = ("drive", "sha256", "vehicle_digest", "horizon", "window", "plain", "start_time", "duration")
     return Labels(
         **{name: stored[name] for name in described},
-        **{name: tuple(stored.get(name, ())) for name in FOUND},
+        faults=tuple(stored.get("faults", ())),
+        remarks=tuple(stored.get("remarks", ())),
+        circular=tuple(stored.get("circular", ())),
         features=features,
         region=Region(**stored["region"]),
         t=table["t"].to_numpy(),
