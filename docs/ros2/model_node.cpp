@@ -45,10 +45,8 @@ class ModelNode : public rclcpp::Node {
     prediction.data.assign(next.begin(), next.end());
     prediction_->publish(prediction);
 
-    std::array<double, MY_CAR_FEATURES> features{};
-    my_car_features(state.data(), input.data(), features.data());
     std_msgs::msg::Bool valid;
-    valid.data = my_car_valid(features.data()) == 1;
+    valid.data = my_car_valid_state(state.data(), input.data()) == 1;
     valid_->publish(valid);
   }
 

@@ -18,7 +18,7 @@ from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import c_literal, straight_line
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, Constants, TableData, lines_of
-from split_cli.learning.running_trust import MEMORY, SPAN
+from split_cli.learning.running_trust import LEAST_SQUARES, MEMORY, MOST_ERROR, SPAN
 from split_cli.learning.trust import kept_share, supported_variance
 
 #: What the header says of a lag that depends on what the set knows.
@@ -127,14 +127,14 @@ def c_source(
     values = {**_texts(tables, graph, provenance, name, plain), "TABLES": table_text, **_predictor_values(tables)}
     asks = with_step and graph.asks_knowledge
     values |= {"CLEAREST": str(clearest), "EVALUATE": _ANSWER if asks else _EVALUATE.format(name=name)}
-    parts = {"robust": getattr(tables, "robust", False), "knowledge": asks}
+    parts = {"robust": getattr(tables, "robust", False), "knowledge": asks, "step": with_step}
     kept = [part for part, needed in parts.items() if needed]
     values["PREDICTOR"] = fill(template(_TEMPLATES[type(tables)]), values, kept)
     values["VALID"] = straight_line(valid, "valid_region", real, "1 where the valid region holds z, else 0.")
     memory = graph.memory if with_step else None
     values |= _memory_values(graph, memory, name, real)
     step_header, step_body = _step(values, graph, provenance, real) if with_step else ("", "")
-    header = fill(template("model.h.in"), {**values, "STEP_DECLARATIONS": step_header})
+    header = fill(template("model.h.in"), {**values, "STEP_DECLARATIONS": step_header}, kept)
     # Values are put in once; text that was put in is not searched again for placeholders.
     source = fill(template("model.c.in"), {**values, "STEP": step_body}, kept)
     needs = graph.needs_place_and_time
@@ -160,6 +160,8 @@ def _texts(tables: Constants, graph: NominalGraph, provenance: Provenance, name:
         "TRUST": ", ".join(f"{value:g}" for value in tables.trust.tolist()),
         "RESERVATIONS": _reservations(provenance.reservations),
         "LOW_SPEED": f"{graph.low_speed:g}",
+        "SLOWEST": f"{provenance.slowest:g}",
+        "SLOWEST_EXACT": c_literal(provenance.slowest, tables.real),
         "KEPT": ", ".join(f"{value:g}" for value in _kept(tables).tolist()),
         "DOUBT": ", ".join(f"{value:g}" for value in tables.doubt.tolist()),
         "SUPPORTED": ", ".join(c_literal(value, tables.real) for value in supported.tolist()),
@@ -181,8 +183,14 @@ def _step(values: dict[str, str], graph: NominalGraph, provenance: Provenance, r
     values["LINEAR"] = fill(template("linear.c.in"), values)
     apart = "1e-4" if real == "double" else "1e-2"
     trust = {**values, "SPAN": f"{SPAN:g}", "MEMORY": f"{MEMORY:g}", "APART": apart}
+    trust |= {
+        "MOST_ERROR": c_literal(MOST_ERROR, real),
+        "LEAST_SQUARES": c_literal(LEAST_SQUARES, real),
+        "MOST": f"{MOST_ERROR:g}",
+    }
     kind, kept = "memory_step" if graph.memory else "step", memory_parts(graph.memory)
     kept = (*kept, "knowledge") if graph.asks_knowledge else kept
+    values["RESPONDING"] = "STATES - 3" if graph.feeds_back else "3"
     values["SITUATION"] = str(graph.rates.size1_in(1))
     values["KNOWLEDGE_HELD"] = ", knowledge" if graph.asks_knowledge else ""
     values["KNOWLEDGE_TEXT"] = _KNOWLEDGE_TEXT if graph.asks_knowledge else ""

@@ -12,6 +12,7 @@ from split_cli.export.compiler import STRICT_FLAGS, Compiler, Driver, run_progra
 from split_cli.export.step_check import (
     OBSERVER_TOLERANCE,
     Intervals,
+    check_valid_states,
     compare_drives,
     compare_features,
     compare_linearisation,
@@ -52,6 +53,9 @@ _CASES = """    case 1:
         break;
     case 4:
         @NAME@_features(in, in + @N@, out);
+        break;
+    case 13:
+        out[0] = (@NAME@_real)@NAME@_valid_state(in, in + @N@);
         break;
     case 12: {
         @NAME@_trust trust;
@@ -257,6 +261,7 @@ def _check_step(
     real, n = source.real, steps.size
     features = driver.answers(4, steps.asked, source.dimension)
     compare_features(features, steps, real)
+    check_valid_states(lambda asked: driver.answers(13, asked, 1)[:, 0] > 0.5, steps, real, "C")
     linear = driver.answers(3, steps.asked, n * (n + 2))
     parts = [linear[:, : n * n].reshape(-1, n, n), linear[:, n * n :].reshape(-1, n, 2)]
     compare_linearisation(np.concatenate(parts, axis=2), steps, real)

@@ -1,5 +1,6 @@
 """A trained set as CasADi functions: the committee in matrix form, and the model step built on it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from split_cli.export.projection import ProjectionData
 from split_cli.export.step_check import (
     StepOracle,
     Stepper,
+    check_valid_states,
     compare_drives,
     compare_memory,
     compare_observer,
@@ -36,6 +38,7 @@ class CasadiFunctions:
     memory: tuple[casadi.Function, ...] = ()
     trust: tuple[casadi.Function, ...] = ()  # the step with a share of each correction, and the running trust
     valid: casadi.Function | None = None  # z to 1 where the valid region of training holds it, else 0
+    valid_state: casadi.Function | None = None  # the same of (x, u), with the speed that training asks for
 
 
 def predictor_function(constants: Constants, name: str) -> casadi.Function:
@@ -285,6 +288,8 @@ def check_casadi(
     for trusted in functions.trust[:1]:
         wholly = step(steps.asked, trusted)
         error = max(error, compare_states(wholly, steps.exact, steps, "double", "CasADi: the step with all trust"))
+    if functions.valid_state is not None:
+        check_valid_states(valid_state_answer(functions.valid_state), steps, "double", "CasADi")
     if functions.trust:
         substeps = casadi_substeps(steps.model.graph)
         compare_observer(observer_answer(functions.trust[1]), steps, substeps, "double", "CasADi: the running trust")
@@ -301,6 +306,12 @@ def _step_once(step: casadi.Function, asked: np.ndarray) -> np.ndarray:
     given = {"x": asked[:n], "u": asked[n : n + 2], "h": asked[n + 2], "p": asked[n + 3 : n + 5]}
     given["tau"] = np.ones(3)
     return np.asarray(step(*(given[step.name_in(k)] for k in range(step.n_in())))).ravel()
+
+
+def valid_state_answer(function: casadi.Function) -> Callable[[np.ndarray], np.ndarray]:
+    """Return ``NAME_valid_state`` as something that rows of `StepOracle.asked` (N, n + 5) can ask."""
+    n = function.size1_in(0)
+    return lambda asked: np.array([float(function(row[:n], row[n : n + 2])) > 0.5 for row in asked])
 
 
 def observer_answer(observe: casadi.Function) -> Stepper:
@@ -407,8 +418,9 @@ def generate_c(functions: CasadiFunctions, name: str, folder: Path) -> tuple[Pat
     slopes = casadi.densify(casadi.jacobian(outputs[0], z))
     generator.add(casadi.Function(f"{name}_mean_variance", [z], list(outputs), ["z"], ["mean", "variance"]))
     generator.add(casadi.Function(f"{name}_mean_variance_jacobian", [z], [*outputs, slopes]))
-    if functions.valid is not None:
-        generator.add(functions.valid)
+    for region in (functions.valid, functions.valid_state):
+        if region is not None:
+            generator.add(region)
     if functions.step is not None:
         symbols = [
             casadi.MX.sym(functions.step.name_in(k), functions.step.size1_in(k)) for k in range(functions.step.n_in())

@@ -95,15 +95,27 @@ def stepped(
     f, A = whole_model(graph, memory)(acting, moving, situation)
     residual = residual if tau is None else tau * residual
     substeps = casadi_substeps(graph)
-    change = h * residual if plain else linear_response(A[3:6, 3:6], residual, h, substeps)
     after = acting + linear_response(A, f, h, substeps)
+    last = memory.continuous if graph.feeds_back else 6
+    pushed = casadi.vertcat(residual, casadi.MX.zeros(last - 6))
+    change = h * pushed if plain else linear_response(A[3:last, 3:last], pushed, h, substeps)
+    remembered = after[8:] + change[5:] if graph.feeds_back else after[8:]
     line, begin = [], memory.continuous
     for c, length in enumerate(memory.lengths):
         if length:
             line += [x[6 + c], x[begin : begin + length - 1]]
         begin += length
-    following = casadi.vertcat(after[:3], after[3:6] + change, x[6:8] + h * u, after[8:], *line)
+    following = casadi.vertcat(after[:3], after[3:6] + change[:3], x[6:8] + h * u, remembered, *line)
     return following + whether_interval_fits(memory, h) if memory.line else following
+
+
+def features_of(graph: NominalGraph, x: casadi.MX, u: casadi.MX) -> casadi.MX:
+    """Return the features z of a whole state x and an input u, of what arrives where commands are late."""
+    memory = graph.memory
+    if memory is None:
+        return present(graph.features)(x, u)[0]
+    first, _ = _arrivals(memory, x, u, casadi.MX(0.0))
+    return present(graph.features)(casadi.vertcat(x[:6], first, x[8 : memory.continuous], x[6:8]), u)[0]
 
 
 def memory_functions(correction: casadi.Function, graph: NominalGraph, name: str) -> tuple[casadi.Function, ...]:

@@ -14,7 +14,7 @@ from split_cli.export.casadi_step import (
     whole_model,
 )
 from split_cli.export.symbolic import NominalGraph
-from split_cli.learning.running_trust import MEMORY, SPAN, SWEEPS
+from split_cli.learning.running_trust import LEAST_SQUARES, MEMORY, MOST_ERROR, SPAN, SWEEPS
 
 #: Numbers of state: 3 shares, then D and e (3 x 4), then sums of their products (3 x 4 x 4), row by row.
 TRUST_SIZE = 63
@@ -42,7 +42,7 @@ def observation() -> casadi.Function:
         beside = casadi.reshape(own, 4, 4)[:3, :]
         gained = 2.0 * casadi.sum1(beside[:, 3]) - casadi.sum1(casadi.vec(beside[:, :3]))
         harms = casadi.if_else(gained >= 0.0, harms, 1.0)
-        weight = casadi.if_else(own[15] > 0.0, 1.0 / own[15], 0.0)
+        weight = casadi.if_else(own[15] > LEAST_SQUARES, 1.0 / own[15], 0.0)
         normal += weight * casadi.reshape(own, 4, 4)
     share = [trust[k] for k in range(3)]
     for j in (0, 1, 2) * SWEEPS:
@@ -58,9 +58,10 @@ def observation() -> casadi.Function:
         share[j] = casadi.if_else(harms > 0.5, share[j] * casadi.fmax(1.0 - doubt, 0.0), 1.0)
     following = casadi.vertcat(*share, casadi.vec(driven.T), *products)
     kept = casadi.vertcat(trust[:3], casadi.SX.zeros(12), trust[15:])
-    # What is no finite number is not below this.
-    finite = casadi.sum1(casadi.vec(casadi.fabs(driven)) <= 1e300) > 11.5
-    chosen = [casadi.if_else(finite, following[k], kept[k]) for k in range(TRUST_SIZE)]
+    # What is not a number is not below this.
+    sound = casadi.sum1(casadi.vec(casadi.fabs(driven)) <= MOST_ERROR) > 11.5
+    sound = casadi.logic_and(sound, casadi.logic_and(h > 0.0, h <= 1.0))
+    chosen = [casadi.if_else(sound, following[k], kept[k]) for k in range(TRUST_SIZE)]
     given = [transition, innovation, response, h, trust]
     return casadi.Function("running_trust", given, [casadi.vertcat(*chosen)], {"cse": True})
 

@@ -39,6 +39,7 @@ class Provenance:
     features: tuple[str, ...]
     horizon: float  # label interval h [s]
     predictor: str
+    slowest: float  # v_x above which training took samples [m/s], `Region.minimum_speed`
     version: str = __version__  # of split
     reservations: tuple[str, ...] = ()  # where the correction may do harm, `scoring.export_warnings`
     memory: dict[str, Any] | None = None  # states of the step beyond the first eight, as `Memory.to_mapping` has it
@@ -61,6 +62,7 @@ def provenance_of(training_set: TrainingSet, predictor: str, set_name: str = "",
         features=training_set.features.names,
         horizon=float(training_set.horizon),
         predictor=predictor,
+        slowest=float(training_set.region.minimum_speed),
         reservations=reservations(training_set),
     )
 

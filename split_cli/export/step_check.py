@@ -13,6 +13,7 @@ from split_cli.export.memory import present
 from split_cli.export.reference import Reference
 from split_cli.export.stepped_model import Drives, SteppedModel, random_memory, roll_drives
 from split_cli.export.symbolic import NominalGraph
+from split_cli.export.validity import is_valid_state
 from split_cli.learning.running_trust import RunningTrust
 from split_cli.learning.training_set import TrainingSet
 
@@ -210,6 +211,35 @@ def compare_observer(observe: Stepper, oracle: StepOracle, substeps: int, real: 
 def compare_linearisation(found: np.ndarray, oracle: StepOracle, real: str) -> float:
     """Return the largest relative error of [A, B], shape (N, n, n + 2); raise as `compare_states` does."""
     return _require(found, oracle.linear, np.abs(oracle.linear), LINEARISATION_TOLERANCE[real], "C: the linearisation")
+
+
+def check_valid_states(answer: Callable[[np.ndarray], np.ndarray], oracle: StepOracle, real: str, what: str) -> None:
+    """Compare which states are valid with Python, at the states of the oracle and at lower speeds to a standstill.
+
+    Parameters
+    ----------
+    answer : callable
+        Rows (N, n + 5) as `StepOracle.asked` to bool (N,).
+
+    Raises
+    ------
+    ExportError
+        If one differs, away from a border by more than rounding.
+    """
+    trained = oracle.model.training_set
+    asked = np.concatenate([oracle.asked] * 4)
+    count, slowest = len(oracle.asked), trained.region.minimum_speed
+    for k, share in enumerate((0.0, 0.5, 0.99)):
+        asked[k * count : (k + 1) * count, 3] = share * slowest
+    z = np.concatenate([oracle.features] * 4)
+    expected = is_valid_state(trained, z, asked[:, 3])
+    slack = 1e-4 if real == "float" else 1e-9
+    clear = np.all(
+        [is_valid_state(trained, z * factor, asked[:, 3]) == expected for factor in (1 - slack, 1 + slack)], 0
+    )
+    wrong = int((answer(asked) != expected)[clear].sum())
+    if wrong:
+        raise ExportError(f"{what}: which states are valid differs at {wrong} of {len(asked)}", advice=OUR_FAULT)
 
 
 def compare_features(found: np.ndarray, oracle: StepOracle, real: str) -> float:

@@ -135,10 +135,14 @@ class SteppedModel:
     def residual(
         self, acting: np.ndarray, command: np.ndarray, u: np.ndarray, A: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the residual adds to v_x, v_y, r in a step, and Phi."""
-        phi = phi_matrix(A[:, 3:6, 3:6], self.step)
+        """Return what the residual adds in a step, shape (N, K), and Phi, shape (N, K, 3).
+
+        K is 3, for v_x, v_y, r; where these move the terms' states all that follows the pose.
+        """
+        last = A.shape[1] if self.graph.feeds_back else 6
+        phi = phi_matrix(A[:, 3:last, 3:last], self.step)[:, :, :3]
         if self.training_set.plain:
-            phi = np.broadcast_to(np.eye(3), phi.shape)
+            phi = np.broadcast_to(np.eye(last - 3, 3), phi.shape)
         mean = self.reference.predict(self.features(acting, command, u)[0]).mean
         return self.step * (phi @ mean[:, :, None])[..., 0], phi
 
@@ -151,7 +155,8 @@ class SteppedModel:
         augmented = np.zeros((len(acting), size + 1, size + 1))
         augmented[:, :size, :size], augmented[:, :size, size] = A, f
         moved: np.ndarray = acting + scipy.linalg.expm(augmented * self.step)[:, :size, size]
-        moved[:, 3:6] += self.residual(acting, command, u, A)[0]
+        added, _ = self.residual(acting, command, u, A)
+        moved[:, 3 : 3 + added.shape[1]] += added
         return moved
 
     def integrate(
@@ -171,8 +176,9 @@ class SteppedModel:
             Situation(t, s, knowledge=knowledge, states=acting[:, 8:]),
         )
         _, A = self.linear(acting, np.zeros((len(u), 2 + len(self.memory.plays))), situation)
-        moved[:, 3:6] += self.residual(acting, command, u, A)[0]
-        return np.column_stack([moved, last, states])
+        added, _ = self.residual(acting, command, u, A)
+        moved[:, 3:6] += added[:, :3]
+        return np.column_stack([moved, last, states + added[:, 5:] if self.graph.feeds_back else states])
 
     def nominal_end(self, x: np.ndarray, u: np.ndarray, place_time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return velocities after a nominal step of Runge-Kutta (N, 3), and what each whole correction adds.
@@ -186,7 +192,7 @@ class SteppedModel:
         added, phi = self.residual(acting, x[:, 6:8], u, A)
         mean = self.reference.predict(self.features(acting, x[:, 6:8], u)[0]).mean
         ended = self.integrate(acting, last, x[:, 6:8], u, place_time)
-        return ended[:, 3:6] - added, self.step * phi * mean[:, None, :]
+        return ended[:, 3:6] - added[:, :3], self.step * phi[:, :3] * mean[:, None, :]
 
     def one_step(self, x: np.ndarray, u: np.ndarray, place_time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whole states after a step of either kind, shape (N, n)."""
@@ -238,7 +244,7 @@ class SteppedModel:
                 drive[:, 8 + play] = (end - moved[8 + play]) / self.step
             after = exponential[:, :size, :size] @ moved
             after += (exponential[:, :size, size:] @ drive[:, :, None])[..., 0]
-            after[:, 3:6] += gain @ np.concatenate([moved, along[0, 6:8], along[0, n:]])
+            after[:, 3 : 3 + gain.shape[1]] += gain @ np.concatenate([moved, along[0, 6:8], along[0, n:]])
             slopes[:, :, column] = self._whole(np.repeat(along[:, :n], count, axis=0), along[:, n:], after)
         return slopes
 

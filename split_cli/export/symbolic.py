@@ -69,6 +69,8 @@ class NominalGraph:
     # Size of each of the terms' states that balances the Jacobian, for bounds on series.
     units: tuple[float, ...] = ()
     stiffness: float = 0.0  # norm of the balanced Jacobian, the largest of many states [1/s]; 0 without memory
+    # Whether a velocity moves the terms' states, so that a correction does, too, within a step.
+    feeds_back: bool = False
     low_speed: float = 0.0  # v_x below which the model is evaluated at `guarded_speed` [m/s]
 
 
@@ -113,7 +115,8 @@ def build_nominal(model: SingleTrack, features: FeatureSet, step: float = DEFAUL
     units, stiffness = _balance(traced, sample) if memory else ((), 0.0)
     needs = any(casadi.which_depends(rates, place_time, 1, False))
     known = _features(model, features, trace, memory)
-    return NominalGraph(traced, *known, needs, asks, memory, start, jumps, units, stiffness, low_speed)
+    feeds_back = model.memory_feeds_back
+    return NominalGraph(traced, *known, needs, asks, memory, start, jumps, units, stiffness, feeds_back, low_speed)
 
 
 def guarded_speed(speed: casadi.SX, low: float) -> casadi.SX:

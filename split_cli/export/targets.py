@@ -43,7 +43,7 @@ from split_cli.export.step_check import Intervals, StepOracle, make_step_oracle,
 from split_cli.export.stepped_model import Drives, SteppedModel, roll_drives
 from split_cli.export.symbolic import NominalGraph, build_nominal
 from split_cli.export.tables import Constants, TableData, build_tables, require_usable, table_data
-from split_cli.export.validity import valid_function
+from split_cli.export.validity import valid_function, valid_state_function
 from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import supported_variance
@@ -248,8 +248,11 @@ def casadi_functions(tables: Constants, graph: NominalGraph, name: str, training
     correction = correction_function(tables, training_set.kernel.clearest if graph.asks_knowledge else None)
     step = model_step(correction, graph, f"{name}_step", training_set.plain)
     valid = valid_function(training_set, f"{name}_valid")
+    state = (
+        valid_state_function(training_set, graph, valid, f"{name}_valid_state") if graph.features is not None else None
+    )
     trust = trust_functions(correction, graph, name, training_set.plain)
-    return CasadiFunctions(predict, step, memory_functions(correction, graph, name), trust, valid)
+    return CasadiFunctions(predict, step, memory_functions(correction, graph, name), trust, valid, state)
 
 
 def acados_source(name: str, graph: NominalGraph, horizon: float) -> str:
@@ -276,9 +279,10 @@ def _write_casadi(
     # Saved before anything asks for derivatives: CasADi would save those of a spline too, twelve times its size.
     written = [f"{plan.name}.casadi"]
     functions.predict.save(str(folder / written[0]))
-    if functions.valid is not None:
-        written.append(f"{functions.valid.name()}.casadi")
-        functions.valid.save(str(folder / written[-1]))
+    for region in (functions.valid, functions.valid_state):
+        if region is not None:
+            written.append(f"{region.name()}.casadi")
+            region.save(str(folder / written[-1]))
     if functions.step is not None:
         for function in (functions.step, *functions.memory, *functions.trust):
             written.append(f"{function.name()}.casadi")

@@ -3,6 +3,8 @@
 import casadi
 import numpy as np
 
+from split_cli.export.casadi_step import features_of, step_arguments
+from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
 
 
@@ -11,7 +13,7 @@ def valid_function(training_set: TrainingSet, name: str = "valid") -> casadi.Fun
 
     A feature lies within its grid, or, where the grid has no bound, within the range of the points. For z2 the
     slip angles, their difference and the force ellipse of both axles hold as well (`learning.region.Region`).
-    Speed is no feature of z2 and is left to the caller.
+    Speed is no feature of z2: `valid_state_function` asks for it too.
     """
     s = training_set
     z = casadi.SX.sym("z", len(s.features.names))
@@ -24,6 +26,31 @@ def valid_function(training_set: TrainingSet, name: str = "valid") -> casadi.Fun
     for condition in conditions[1:]:
         valid = casadi.logic_and(valid, condition)
     return casadi.Function(name, [z], [valid], ["z"], ["valid"])
+
+
+def valid_state_function(
+    training_set: TrainingSet, graph: NominalGraph, valid: casadi.Function, name: str = "valid_state"
+) -> casadi.Function:
+    """Return (x, u) to 1 where training would have accepted the state, its speed included, 0 elsewhere.
+
+    Parameters
+    ----------
+    graph : NominalGraph
+        With features; x is the whole state of its step.
+    valid : casadi.Function
+        As `valid_function` returns it.
+    """
+    given = step_arguments(graph)
+    x, u = given["x"], given["u"]
+    z = features_of(graph, x, u)
+    fast = x[3] > training_set.region.minimum_speed
+    return casadi.Function(name, [x, u], [casadi.logic_and(fast, valid(z))], ["x", "u"], ["valid"])
+
+
+def is_valid_state(training_set: TrainingSet, z: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Return what `valid_state_function` must answer, of features (N, D) and v_x (N,) [m/s], bool shape (N,)."""
+    inside: np.ndarray = is_valid(training_set, z) & (speed > training_set.region.minimum_speed)
+    return inside
 
 
 def is_valid(training_set: TrainingSet, z: np.ndarray) -> np.ndarray:

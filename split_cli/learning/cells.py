@@ -300,6 +300,7 @@ class _Cells:
             duration=labels.duration,
             faults=labels.faults,
             remarks=labels.remarks,
+            circular=labels.circular,
         )
 
     def _offer(self, labels: Labels, rows: np.ndarray, numbers: np.ndarray, source: int, begin: float) -> np.ndarray:

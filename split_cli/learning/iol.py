@@ -272,6 +272,7 @@ def _in_cells(
         duration=labels.duration,
         faults=labels.faults,
         remarks=labels.remarks,
+        circular=labels.circular,
     )
     sources = (*s.sources, source)
     columns: dict[str, Any] = dict(points)

@@ -127,6 +127,7 @@ def _labels_from_table(table: pa.Table, stored: Mapping[str, Any]) -> Labels:
         **{name: stored[name] for name in described},
         faults=tuple(stored.get("faults", ())),
         remarks=tuple(stored.get("remarks", ())),
+        circular=tuple(stored.get("circular", ())),
         features=features,
         region=Region(**stored["region"]),
         t=table["t"].to_numpy(),

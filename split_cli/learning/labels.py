@@ -18,7 +18,7 @@ from split_cli.logs.drive import Drive
 from split_cli.logs.scratch import PIECE, GrowingColumn, in_pieces, let_go, room
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.flow import Flow
-from split_cli.vehicle.integration import Situation, phi_matrix
+from split_cli.vehicle.integration import Situation
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import RecordedInputs, recorded_inputs
@@ -80,6 +80,8 @@ class Labels:
         `Reason` of each sample.
     faults, remarks : tuple of str
         What ingest found wrong with channels that labels are made of, and what else it found.
+    circular : tuple of str
+        States whose labels say nothing of the car (`logs.drive_metadata.CIRCULAR`).
     """
 
     drive: str
@@ -100,6 +102,7 @@ class Labels:
     reason: np.ndarray
     faults: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    circular: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.row)
@@ -207,7 +210,8 @@ def compute_labels(
     Notes
     -----
     y = Phi^-1 B_d^+ (x(t + h) - f_h(x(t)))/h with f_h the nominal model integrated by RK4 over the recorded
-    inputs and Phi = (1/h) int_0^h exp(A s) ds, A the nominal Jacobian at t. SPLIT paper, the residual model,
+    inputs and Phi = (1/h) int_0^h exp(A s) ds, A the nominal Jacobian at t, that of what
+    the terms remember included (`Windows.phi`). SPLIT paper, the residual model,
     has the plain difference; Phi undoes what the stiff lateral dynamics damp within h (docs/errata.md).
 
     The drive is labelled piece by piece, with what the terms remember handed on: the labels do not depend on the
@@ -253,6 +257,7 @@ def compute_labels(
         reason=reason,
         faults=drive.metadata.faults,
         remarks=drive.metadata.remarks,
+        circular=drive.metadata.circular,
     )
 
 
@@ -334,7 +339,7 @@ def _window_errors_reference(
     windows, horizon = inputs.windows(starts, window).knowing(knowledge), window * drive.period
     jacobian = windows.jacobian(model, begin)
     rate = (end - windows.predict(model, begin, jacobian)) / horizon
-    return rate if plain else np.linalg.solve(phi_matrix(jacobian, horizon), rate[:, :, None])[:, :, 0]
+    return rate if plain else np.linalg.solve(windows.phi(model, begin, jacobian, horizon), rate[:, :, None])[:, :, 0]
 
 
 def _nominal_constants(car: Vehicle) -> np.ndarray:

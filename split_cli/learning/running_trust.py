@@ -11,6 +11,11 @@ SPAN = 0.5
 MEMORY = 10.0
 #: Sweeps over the three outputs an interval [1]; each begins where the last interval's ended. Judgement.
 SWEEPS = 3
+#: Errors beyond this [m/s, rad/s] are no driving and end the evidence as a gap does; theory: exports take speeds up
+#: to 150 m/s. The squares of a larger one would outweigh minutes of driving.
+MOST_ERROR = 150.0
+#: Sums of squares of errors up to this [m^2/s^2, rad^2/s^2] are rounding: nothing is judged relative to them.
+LEAST_SQUARES = 1e-28
 
 
 class RunningTrust:
@@ -94,7 +99,7 @@ class RunningTrust:
         """
         added = np.column_stack([response, innovation])
         driven = self._kept * (transition @ self._driven + added)
-        if not np.isfinite(driven).all():
+        if not (np.abs(driven) <= MOST_ERROR).all():  # nor where one is not a number
             self.interrupt()
             return self.share
         self._driven = driven
@@ -105,7 +110,7 @@ class RunningTrust:
         if (beside @ self.most >= 0.0).all():
             self.share = self.most.copy()
             return self.share
-        weight = np.divide(1.0, errors, out=np.zeros(3), where=errors > 0.0)
+        weight = np.divide(1.0, errors, out=np.zeros(3), where=errors > LEAST_SQUARES)
         normal = np.einsum("s,sij->ij", weight, self._products)
         share = self.share.copy()
         for j in (0, 1, 2) * SWEEPS:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.learning.features import Z2
+from split_cli.logs.drive_metadata import CIRCULAR
 from split_cli.signals import CHANNELS
 
 LARGEST_CELL = 200
@@ -22,8 +23,8 @@ LARGEST_OF_KERNEL = 1e3 * LARGEST_LABEL**2
 """Of a label variance or a length scale; theory: the fit takes at most a thousand times labels' mean square."""
 LONGEST_TEXT = 4096
 """A name or digest in a header [characters]; that of the longest path of Linux."""
-FOUND = ("faults", "remarks")
-"""What ingest found, in labels and in a drive of a set, a clause each; absent where it found nothing."""
+FOUND = ("faults", "remarks", "circular")
+"""What ingest found, in labels and in a drive of a set, and states whose labels say nothing; absent where empty."""
 _COUNTS = ("samples", "accepted", "insertions", "replacements", "points", "cells")
 
 
@@ -98,6 +99,8 @@ def _check_found(described: Mapping[str, Any]) -> None:
             raise ValueError(f"{name} is no list of clauses")
         for clause in clauses:
             _text(f"a clause of {name}", clause)
+    if not set(described.get("circular", [])) <= set(CIRCULAR):
+        raise ValueError(f"circular names a state other than {', '.join(CIRCULAR)}")
 
 
 def _check_trust(trust: Mapping[str, Any]) -> None:

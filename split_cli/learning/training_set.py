@@ -55,8 +55,8 @@ class SetSource:
         Label interval of this drive [s]: the set's, rounded to whole samples.
     start_time, duration : float
         First time stamp and length of the drive [s]; with forgetting, ages run over the drives one after another.
-    faults, remarks : tuple of str
-        What ingest found wrong with channels that the labels are made of, and what else it found.
+    faults, remarks, circular : tuple of str
+        What ingest found wrong and what else, and states whose labels say nothing of the car (see `Labels`).
     """
 
     name: str
@@ -73,6 +73,7 @@ class SetSource:
     duration: float = 0.0
     faults: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    circular: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -405,10 +406,6 @@ def _described_source(source: SetSource) -> dict[str, Any]:
     return {**content, **found}
 
 
-def _source_from(content: Mapping[str, Any]) -> SetSource:
-    return SetSource(**{**content, **{name: tuple(content.get(name, ())) for name in FOUND}})
-
-
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
@@ -439,7 +436,7 @@ def _header_from(described: Mapping[str, Any]) -> TrainingSet:
         t=np.empty(0),
         source=np.empty(0, dtype=np.int16),
         row=np.empty(0, dtype=np.int64),
-        sources=tuple(_source_from(source) for source in described["sources"]),
+        sources=tuple(SetSource(**{**s, **{n: tuple(s.get(n, ())) for n in FOUND}}) for s in described["sources"]),
         trust=Trust.full() if described["format"] == _WITHOUT_TRUST else Trust(**described["trust"]),
     )
 

@@ -355,6 +355,9 @@ def _check_drive(drive: Drive, path: Path) -> None:
         if count:
             what = f"{count} non-finite values in {name}, the first in row {missing[0]}"
             advice = "Run the recording through `split ingest`, which drops and counts them."
+            if count == len(drive):
+                what = f"{name} holds no number in any of its {count} rows"
+                advice = "Was it recorded? Name another source for it in the map of `split ingest`."
             raise DriveError(what, where=str(path), advice=advice)
         if beyond:
             row, value = beyond[0]

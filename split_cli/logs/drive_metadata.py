@@ -27,6 +27,8 @@ WITHOUT_GYRO = "from a_y"
 OF_REAR_TIRES = "and the slip of the vehicle file's rear tyres"
 _ASSUMED_SIDESLIP = "no yaw rate was recorded: r and v_y follow from a_y and the rear tyres of the vehicle file"
 _DERIVED_YAW_RATE = "no yaw rate was recorded: r follows from a_y and v_y"
+#: Why the error of a state says nothing of the car: an input or the state itself was made of the model.
+CIRCULAR = {"v_x": "T was derived from the motion", "v_y": "v_y was derived with the rear tyres of the vehicle file"}
 #: Words of a torque that was derived from what was asked of the drive train.
 _ASKED = ("throttle", "pedal", "brake", "current", "N m/A")
 
@@ -131,6 +133,12 @@ class DriveMetadata:
     def torque_follows_motion(self) -> bool:
         """Whether T was derived from the motion, or nobody says from what: it cannot contradict it then."""
         return self.is_derived("T") and not self.torque_is_from_pedals
+
+    @property
+    def circular(self) -> tuple[str, ...]:
+        """The states whose error says nothing of the car, keys of `CIRCULAR`."""
+        holds = {"v_x": self.torque_follows_motion, "v_y": self.sideslip_is_of_tires}
+        return tuple(state for state in CIRCULAR if holds[state])
 
     @property
     def torque_is_from_pedals(self) -> bool:

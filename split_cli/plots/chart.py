@@ -59,6 +59,7 @@ class Chart:
     other_first: bool = False
     rows: tuple[str, ...] = ()  # names in the place of a y axis, from the top
     reference: float | None = None  # with rows, the x at which a line stands, always within the frame
+    least_span: float = 0.0  # with rows, what the axis of x spans at least: less is no difference to be seen
     equal: bool = False  # one unit is as long in x as in y
     wide: bool = False  # over the whole width of a page
     group: str = ""  # charts of one group share the zoom of their x axis

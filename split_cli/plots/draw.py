@@ -63,6 +63,9 @@ def draw_chart(chart: Chart, *, other_x: bool = False, axes: Axes | None = None)
         axes.invert_yaxis()
     if chart.reference is not None:
         axes.axvline(chart.reference, color="0.5", ls="--", lw=1)
+    low, high = axes.get_xlim()
+    if chart.rows and high - low < chart.least_span:
+        axes.set_xlim(0.5 * (low + high - chart.least_span), 0.5 * (low + high + chart.least_span))
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim")
     if len(chart.series) > 1 or chart.bands:

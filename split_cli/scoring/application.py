@@ -30,9 +30,6 @@ class Correction:
     # Features (N, D) to g (N, 3) and how much the set knows there (N,), as `Predictor.mean_and_knowledge`: asked where
     # a lag depends on it. Without it all is known.
     informed: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
-    # Whether g moves what the terms remember, too, within a step. Labels of a trained set are divided by a Phi that
-    # holds it still, and are multiplied by the same.
-    moves_memory: bool = False
 
     def answers(self, at: np.ndarray, asks_knowledge: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return g (N, 3) at features `at` (N, D) and how much is known there (N,): all of it unless a model asks."""

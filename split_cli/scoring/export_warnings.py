@@ -2,6 +2,7 @@
 
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive_metadata import ingest_found
+from split_cli.scoring.circular import limits_of
 from split_cli.scoring.evidence import WHOLE_DRIVES
 from split_cli.scoring.found_lags import lag_notes
 
@@ -21,4 +22,4 @@ def reservations(training_set: TrainingSet) -> tuple[str, ...]:
             f"trust and intervals hold for {driving} only. On another surface, at other speeds or with other "
             "tyres the correction may do harm. A running trust avoids most of it"
         )
-    return (*notes, *lag_notes(training_set))
+    return (*notes, *limits_of(training_set), *lag_notes(training_set))

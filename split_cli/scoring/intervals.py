@@ -1,6 +1,6 @@
 """Do the intervals of a set hold on a drive, near its points and beyond? A warning where they are too narrow."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
@@ -101,7 +101,9 @@ def too_narrow(error: np.ndarray, deviation: np.ndarray, block: np.ndarray) -> t
 _REMEDY = ". This driving differs from that of the training; add drives like this one to it"
 
 
-def interval_warnings(traces: Sequence[Trace], shares: Sequence[IntervalShares] = ()) -> list[str]:
+def interval_warnings(
+    traces: Sequence[Trace], shares: Sequence[IntervalShares] = (), silent: Collection[str] = ()
+) -> list[str]:
     """Return a warning for every state whose intervals are too narrow on these drives, by predictor.
 
     Parameters
@@ -110,6 +112,8 @@ def interval_warnings(traces: Sequence[Trace], shares: Sequence[IntervalShares] 
         Of any predictors; of each, one a drive.
     shares : sequence of IntervalShares
         The warning says of the first predictor named what it holds near the points and beyond.
+    silent : collection of str
+        States that are not judged: labels or training say nothing of them (`logs.drive_metadata.CIRCULAR`).
     """
     narrow = {
         name: _narrow_states([trace for trace in traces if trace.name == name])
@@ -118,7 +122,7 @@ def interval_warnings(traces: Sequence[Trace], shares: Sequence[IntervalShares] 
     warnings: list[str] = []
     for number, state in enumerate(STATES):
         found = {name: states[state] for name, states in narrow.items() if state in states}
-        if not found:
+        if not found or state in silent:
             continue
         held = " and ".join(f"{100.0 * share:.0f} % ({name})" for name, (share, _) in found.items())
         factor = max(factor for _, factor in found.values())

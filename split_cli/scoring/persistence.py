@@ -5,7 +5,6 @@ import numpy as np
 from split_cli.learning.labels import Labels, inputs_along
 from split_cli.learning.pieces import pieces
 from split_cli.logs.drive import Drive
-from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 
 
@@ -16,7 +15,7 @@ def phi_at(model: SingleTrack, drive: Drive, rows: np.ndarray, horizon: float) -
         here = rows[span] - piece.first
         velocity = np.stack([piece.drive[name][here] for name in ("vx", "vy", "r")], axis=1)
         windows = inputs_along(model, piece.drive, piece.recording).windows(here, 0)
-        phi[span] = phi_matrix(windows.jacobian(model, velocity), horizon)
+        phi[span] = windows.phi(model, velocity, windows.jacobian(model, velocity), horizon)
     return phi
 
 

@@ -12,7 +12,7 @@ from split_cli.learning.labels import inputs_along
 from split_cli.learning.pieces import pieces
 from split_cli.logs.drive import Drive
 from split_cli.scoring.application import Correction, features_at
-from split_cli.vehicle.integration import Situation, phi_matrix
+from split_cli.vehicle.integration import Situation
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import RecordedInputs
 
@@ -163,10 +163,7 @@ def _one_step(
     if correction is not None:
         horizon = window * drive.period
         jacobian = np.where(finite[:, None, None], jacobian, 0.0)
-        if correction.moves_memory:
-            phi, _ = windows.responses(model, state, jacobian, horizon)
-        else:
-            phi = phi_matrix(jacobian, horizon)
+        phi = windows.phi(model, state, jacobian, horizon)
         after[:, -3:] += horizon * np.einsum("nij,nj->ni", phi, residual)
     return after
 

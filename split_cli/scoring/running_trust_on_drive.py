@@ -8,7 +8,6 @@ from split_cli.learning.running_trust import RunningTrust
 from split_cli.prediction import Prediction, Predictor
 from split_cli.prediction.trusted import TrustedPredictor, untrusted
 from split_cli.scoring.evaluation import HeldOutSamples
-from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import Windows
 
@@ -86,7 +85,7 @@ def _shares_along(inner: Predictor, held: HeldOutSamples, labels: Labels) -> tup
         else:
             mean = inner.mean(z)
         jacobian = windows.jacobian(model, velocity)
-        held_for = labels.horizon * phi_matrix(jacobian, labels.horizon)
+        held_for = labels.horizon * windows.phi(model, velocity, jacobian, labels.horizon)
         transition = _transition(model, windows, velocity, jacobian)
         rate = labels.y[span][:, :, None]
         innovation = (labels.horizon * rate if labels.plain else held_for @ rate)[:, :, 0]

@@ -17,13 +17,16 @@ _ANOTHER_CAR = 2.5
 _ANOTHER_GRIP = 1.4
 _MOST_ROWS = 20_000
 _FEWEST = 200
+#: Scatter of what the torque gives [m/s^2] below which it is rounding, far below what any sensor resolves.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
 class Belonging:
     """What a drive shows of a vehicle's numbers; None where the drive does not excite it."""
 
-    # Recorded yaw rate over that of steady turning with the file's wheelbase and stiffnesses [1].
+    # Recorded yaw rate over that of steady turning with the file's wheelbase and stiffnesses [1]; below 0 where it
+    # turns against its steer angle.
     turning: float | None
     # Recorded lateral force over the nominal one where the tyres are loaded by more than half their peak [1].
     grip: float | None
@@ -36,7 +39,12 @@ class Belonging:
     def contradictions(self) -> tuple[str, ...]:
         """Return what no recording of this vehicle can show, in words."""
         said = []
-        if self.turning is not None and not 1.0 / _ANOTHER_CAR < self.turning < _ANOTHER_CAR:
+        if self.turning is not None and self.turning < 0.0:
+            said.append(
+                f"it turns {-self.turning:.2g} times as fast as this vehicle would, but to the other side than it "
+                "steers: the sign of delta or of r is turned"
+            )
+        elif self.turning is not None and not 1.0 / _ANOTHER_CAR < self.turning < _ANOTHER_CAR:
             said.append(f"it turns {self.turning:.2g} times as fast for its steer angle as this vehicle would")
         if self.peak is not None and self.peak > _ANOTHER_CAR:
             said.append(f"its lateral acceleration is {self.peak:.2g} times what this vehicle's tyres can carry")
@@ -95,19 +103,22 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
     accounts = [(force - force.mean(), driven - driven.mean()) for force in (change + driven - kept, change)]
     peak = float(np.quantile(np.abs(lateral), 0.995)) / carried
     return Belonging(
-        _ratio(r[gentle], expected[gentle]),
+        _ratio(r[gentle], expected[gentle], signed=True),
         # With effects in the file the plain tyres are not what it says.
         None if vehicle.effects else _ratio(lateral[loaded], nominal[loaded]),
         peak,
-        None if drive.metadata.is_derived("T") else _ratio(*max(accounts, key=lambda both: _correlation(*both))),
+        None
+        if drive.metadata.is_derived("T") or driven.std() < _ROUNDING
+        else _ratio(*max(accounts, key=lambda both: _correlation(*both))),
     )
 
 
-def _ratio(recorded: np.ndarray, expected: np.ndarray) -> float | None:
-    """Return the slope through the origin, None where the two hardly go together."""
+def _ratio(recorded: np.ndarray, expected: np.ndarray, *, signed: bool = False) -> float | None:
+    """Return the slope through the origin, None where the two hardly go together, or only `signed` against it."""
     if len(recorded) < _FEWEST or not np.isfinite(recorded).all():
         return None
-    return float(recorded @ expected / (expected @ expected)) if _correlation(recorded, expected) >= 0.7 else None
+    together = _correlation(recorded, expected)
+    return float(recorded @ expected / (expected @ expected)) if max(together, -signed * together) >= 0.7 else None
 
 
 def _correlation(recorded: np.ndarray, expected: np.ndarray) -> float:

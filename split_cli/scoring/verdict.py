@@ -18,7 +18,7 @@ _MOST_BLOCKS = 40
 _RESAMPLES = 2000
 _INTERVAL = (2.5, 97.5)
 _FEWEST_BLOCKS = 4
-_VISIBLE = 5e-4
+VISIBLE = 5e-4
 """Of the ratio to the nominal error, from which on a change is reported [1]; judgement: below, three decimals read
 1.000. Where the trust is small, a change of 0.003 % may be beyond chance, and means nothing."""
 
@@ -58,7 +58,7 @@ class Comparison:
     def is_better(self) -> bool:
         """Whether the error is smaller than the nominal one, beyond chance and by what can be seen."""
         ratio, _, high = self.to_nominal
-        return high < 1.0 and 1.0 - ratio >= _VISIBLE
+        return high < 1.0 and 1.0 - ratio >= VISIBLE
 
     @property
     def is_worse(self) -> bool:
@@ -73,7 +73,7 @@ class Comparison:
 
 def _is_larger(compared: tuple[float, float, float]) -> bool:
     ratio, low, _ = compared
-    return low > 1.0 and ratio - 1.0 >= _VISIBLE
+    return low > 1.0 and ratio - 1.0 >= VISIBLE
 
 
 def number_blocks(time: np.ndarray, segment: np.ndarray, first: int = 0) -> np.ndarray:

@@ -92,6 +92,17 @@ class SingleTrack:
         return any(getattr(term, "asks_knowledge", False) for term in self.terms)
 
     @cached_property
+    def memory_feeds_back(self) -> bool:
+        """Whether a velocity moves what the terms remember, as that of a tyre's force that builds up."""
+        names, car = self.state_names, self.vehicle
+        if not names:
+            return False
+        slow = np.array([2.0 * car.minimum_speed])
+        moving = slow, 0.02 * slow, 0.02 * slow / car.wheelbase, np.array([0.1 * car.max_torque]), np.array([0.02])
+        settled = {name: self.flow(*moving).values[name] + np.zeros(1) for name in names}
+        return bool(self.jacobian_with_memory(*moving, states=settled)[0, 3:, :3].any())
+
+    @cached_property
     def in_motion(self) -> "SingleTrack":
         """The model without terms that change no motion, see `Term.moves_car`."""
         moving = [term for term in self.terms if getattr(term, "moves_car", True)]

@@ -52,6 +52,15 @@ class Windows:
         """Return the velocity Jacobian at the windows' begin, (N, 3, 3), of states as `predict` takes them."""
         return model.velocity_jacobian(*self._begin(state), **self._situation(state).arguments(model))
 
+    def phi(self, model: SingleTrack, state: np.ndarray, jacobian: np.ndarray, horizon: float) -> np.ndarray:
+        """Return Phi of labels and corrections, shape (N, 3, 3): that of `responses`, whose parameters it has.
+
+        Where no velocity moves what the terms remember, it is that of the velocities alone.
+        """
+        if not model.memory_feeds_back:
+            return phi_matrix(jacobian, horizon)
+        return self.responses(model, state, jacobian, horizon)[0]
+
     def responses(
         self, model: SingleTrack, state: np.ndarray, jacobian: np.ndarray, horizon: float
     ) -> tuple[np.ndarray, np.ndarray]:

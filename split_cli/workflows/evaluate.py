@@ -59,8 +59,10 @@ from split_cli.workflows.evaluation_notes import (
     notes_of,
     notes_on_own_sets,
     notes_on_parts,
+    notes_on_states,
     overlap_notes,
     same_interval,
+    silent_states,
     with_measured_error,
 )
 from split_cli.workflows.other_vehicle import trained_for_another
@@ -181,11 +183,12 @@ def evaluate(
             *notes_of(facts, labelled_sets[0][1], settings, rollout_scores),
             *_overlap_notes(labelled_sets[0], settings, trained is None),
             *_notes_of_sets(labelled_sets, settings, trained is None),
+            *notes_on_states(drives, trained),
             *correct.notes,
             *(text for s in _not_judged(trained, drives) for text in ingest_found(s.name, (*s.faults, *s.remarks))),
             *(note for *_, own in labelled_sets for note in lag_notes(own)),
             *warnings_of(with_measured_error([c for c in comparisons if c.name in settings.predictors], drives)),
-            *(interval_warnings(shown, intervals) if trained else ()),
+            *(interval_warnings(shown, intervals, silent_states(drives, trained)) if trained else ()),
         ),
     )
     sets = tuple(own for *_, own in labelled_sets)

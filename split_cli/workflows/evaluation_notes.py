@@ -7,7 +7,9 @@ import numpy as np
 from split_cli.learning.shared_rows import shared_sources
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive, DriveMetadata, unstated_inputs
+from split_cli.logs.drive_metadata import CIRCULAR
 from split_cli.prediction import PREDICTORS
+from split_cli.scoring.circular import limits_of, unknown_to
 from split_cli.scoring.evaluation import HeldOutSamples, pooled_noise_floor
 from split_cli.scoring.evidence import MOST_ROWS
 from split_cli.scoring.late_inputs import late_inputs
@@ -27,16 +29,25 @@ def same_interval(held: HeldOutSamples, first: HeldOutSamples) -> bool:
 
 def derived_states(drives: Iterable[DriveMetadata]) -> dict[str, str]:
     """Return the states whose error says nothing, since an input or they were made of the model itself, and why."""
-    said = {}
-    known = list(drives)
-    if any(one.torque_follows_motion for one in known):
-        said["v_x"] = (
-            "T was derived from the acceleration, so the error of v_x says nothing. The headline leaves it out"
-        )
-    if any(one.sideslip_is_of_tires for one in known):
-        tires = "v_y was derived with the rear tyres of the vehicle file"
-        said["v_y"] = f"{tires}, so its error says nothing of sideslip. The headline leaves it out"
-    return said
+    circular = {state for one in drives for state in one.circular}
+    return {
+        state: f"{why}, so errors and intervals of {state} say nothing of the car. Verdicts leave {state} out; norm "
+        "and skill contain it"
+        for state, why in CIRCULAR.items()
+        if state in circular
+    }
+
+
+def notes_on_states(drives: Sequence[Drive], trained: TrainingSet | None) -> tuple[str, ...]:
+    """Return which states these drives, or those that a set learned, say nothing of."""
+    learned = () if trained is None else limits_of(trained)
+    return (*derived_states(drive.metadata for drive in drives).values(), *learned)
+
+
+def silent_states(drives: Sequence[Drive], trained: TrainingSet | None) -> tuple[str, ...]:
+    """Return the states whose intervals are not judged: these drives, or all that a set learned, say nothing."""
+    learned = () if trained is None else unknown_to(trained)
+    return (*derived_states(drive.metadata for drive in drives), *learned)
 
 
 def with_measured_error(comparisons: Sequence[Comparison], drives: Sequence[Drive]) -> list[Comparison]:

@@ -98,6 +98,7 @@ def _numbers(parameters: Mapping[str, float]) -> str:
 def _trained_set(path: Path) -> FileDescription:
     from split_cli.learning.region import valid_cell_count
     from split_cli.learning.training_set import read_set
+    from split_cli.scoring.circular import limits_of
     from split_cli.scoring.evidence import WHOLE_DRIVES
 
     trained = read_set(path)
@@ -119,6 +120,7 @@ def _trained_set(path: Path) -> FileDescription:
         *([("intervals", _ONE_DRIVE)] if lone else []),
         *([("intervals hold", _NEAR_POINTS)] if trained.trust.origin == "held-out" else []),
         *((f"found beyond the file: {effect.label}", _numbers(effect.parameters)) for effect in trained.found),
+        *(("cannot say", text) for text in limits_of(trained)),
         ("length scales", f"{_named(trained.features.names, kernel.length_scales)} ({kernel.origin})"),
         ("signal deviation", _named(_LABELS, np.sqrt(kernel.signal_variance))),
         ("noise deviation", _named(_LABELS, np.sqrt(kernel.noise_variance))),

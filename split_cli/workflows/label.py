@@ -1,7 +1,7 @@
 """Label a drive: what the nominal model gets wrong, sample by sample, into a file."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -16,6 +16,7 @@ from split_cli.learning.labels import DEFAULT_HORIZON, compute_labels
 from split_cli.learning.region import Region, build_grid
 from split_cli.logs.drive import Drive, open_drive, unstated_inputs
 from split_cli.logs.drive_metadata import ingest_found
+from split_cli.logs.scratch import in_pieces
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.engine import Engine
 from split_cli.workflows.recordings import RecordingCorrection
@@ -149,4 +150,16 @@ def drive_notes(drive: Drive) -> tuple[str, ...]:
         f"T is {known.kinds.get('T')}; the longitudinal label then says nothing": known.torque_follows_motion,
     }
     found = ingest_found(drive.name, (*known.faults, *known.remarks))
+    found += tuple(f"{drive.name}: {text}" for text in _constant_channels(drive))
     return (*found, *(f"{drive.name}: {text}" for text, holds in said.items() if holds))
+
+
+def _constant_channels(drive: Drive) -> Iterator[str]:
+    """Yield which of the model's channels hold one value throughout, where no ingest has looked at them."""
+    found = []
+    for name in () if "consistency" in drive.metadata.quality else ("vx", "vy", "r", "T", "delta"):
+        first, symbol = drive.part(name, 0, 1)[0], {"vx": "v_x", "vy": "v_y"}.get(name, name)
+        if all((drive.part(name, piece.start, piece.stop) == first).all() for piece in in_pieces(len(drive))):
+            found.append(f"{symbol} is {first:g}")
+    if found:
+        yield f"{', '.join(found)} in every row. If that was not recorded, the labels are wrong"

@@ -1,12 +1,16 @@
 """The step of the exported C at any finite argument: fuzzed, at standstill, backwards, and beyond any car."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from split_cli.export.c_check import build_driver
 from split_cli.export.symbolic import build_nominal, guarded_speed
 from split_cli.vehicle.single_track import SingleTrack
+from tests.export.effect_cases import CASES
 from tests.export.export_support import source_of
+from tests.factories import make_training_set, road_car
 
 
 def fuzz(count: int, width: int, real: str, seed: int = 1) -> np.ndarray:
@@ -34,6 +38,22 @@ def test_the_step_is_finite_for_every_finite_argument(small_set, compiler, tmp_p
     for what, width in ((1, 8), (2, 8)):
         answers = driver.answers(what, asked, width)
         assert np.isfinite(answers).all(), asked[~np.isfinite(answers).all(axis=1)][:3]
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("case", ["grip_fade", "load_transfer late"])
+def test_steps_and_starts_with_found_effects_are_finite(case, real, compiler, tmp_path):
+    """A fade at a time before the first sample grew beyond all numbers, and a load was that of any speed."""
+    trained = replace(make_training_set(seed=8, points=40), vehicle=road_car(effects=CASES[case]))
+    source = source_of(trained, real)
+    size = source.memory.whole if source.memory else 8
+    asked = fuzz(1000, 13, real, seed=7)
+    asked = np.column_stack([asked[:, :8], asked[:, : size - 8], asked[:, 8:13]])
+    driver = build_driver(source, tmp_path, compiler, ("-O0",))
+    for what in (1, 2, *((6,) if source.memory else ())):
+        answers = driver.answers(what, asked, size)
+        sound = np.isfinite(answers[:, 8 if what == 6 else 0 :]).all(axis=1)
+        assert sound.all(), asked[~sound][:3]
 
 
 def test_at_standstill_the_step_is_small_and_smooth(small_set, compiler, tmp_path):

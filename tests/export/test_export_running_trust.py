@@ -101,6 +101,38 @@ def test_what_is_not_finite_begins_the_errors_anew(exported):
     np.testing.assert_array_equal(np.asarray(observe(x, u, STEP, np.full(exported.size, np.nan), given)).ravel(), trust)
 
 
+@pytest.mark.parametrize("wild", [1e4, -1e30, 1e100, 1e300])
+def test_a_measurement_that_no_car_makes_is_a_gap(exported, wild):
+    """One finite speed of 1e200 m/s made the trust not-a-number for good, and one of 1e12 held for minutes."""
+    predict = committee_function(build_tables(exported.training_set), "car")
+    _, observe = trust_functions(predict, exported.graph, "car", plain=False)
+    x, _, t, s = manoeuvre()
+    x, u, given = exported.start(x, t[0], s[0]), np.zeros(2), np.arange(63.0) / 100.0
+    expected = np.concatenate([given[:3], np.zeros(12), given[15:]])
+    for state in (3, 4, 5):
+        measured = x.copy()
+        measured[state] = wild
+        trust = given.copy()
+        exported.call("observe", x, u, STEP, casadi_substeps(exported.graph), measured, trust)
+        np.testing.assert_array_equal(trust, expected)
+        np.testing.assert_array_equal(np.asarray(observe(x, u, STEP, measured, given)).ravel(), expected)
+    python = RunningTrust(np.ones(3), STEP)
+    python.numbers = given
+    python.observe(np.eye(3), np.array([0.0, wild, 0.0]), np.zeros((3, 3)))
+    np.testing.assert_array_equal(python.numbers, expected)
+
+
+@pytest.mark.parametrize("h", [0.0, -0.05, -0.5, 1e-300, 2.0, 1e300])
+def test_an_interval_that_no_step_takes_is_a_gap(exported, h):
+    x, _, t, s = manoeuvre()
+    x, u, given = exported.start(x, t[0], s[0]), np.zeros(2), np.arange(63.0) / 100.0
+    trust = given.copy()
+    exported.call("observe", x, u, h, casadi_substeps(exported.graph), x, trust)
+    assert np.isfinite(trust).all() and ((trust[:3] >= 0.0) & (trust[:3] <= 1.0)).all()
+    if h != 1e-300 or exported.memory is not None and exported.memory.line:
+        np.testing.assert_array_equal(trust, np.concatenate([given[:3], np.zeros(12), given[15:]]))
+
+
 def _plain(car: Exported, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     after = np.empty(car.size)
     car.call("step_rk4", x, u, STEP, casadi_substeps(car.graph), after)

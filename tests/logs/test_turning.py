@@ -158,7 +158,7 @@ def test_a_drive_without_a_gyro_says_so_and_is_neither_diagnosed_nor_calibrated(
     assert not any(relation.name.startswith("a_y against") for relation in made.quality.consistency.relations)
     assert "Record a gyro or a heading" in unfit(drive, CAR)[0]
     # v_y is of the model that is judged: no headline of an evaluation may be of it.
-    assert "nothing of sideslip" in derived_states([drive.metadata])["v_y"]
+    assert "intervals of v_y say nothing" in derived_states([drive.metadata])["v_y"]
     write_drive(drive, tmp_path / "d.parquet")
     write_vehicle(CAR, tmp_path / "car.yaml")
     with pytest.raises(DriveError, match="cannot determine tyres"):

@@ -41,6 +41,17 @@ def test_rows_are_named_from_the_top_with_their_intervals():
     np.testing.assert_allclose([low, high], [X[:2] + 1.5, X[:2] + 3.0])
 
 
+def test_an_axis_spans_at_least_what_can_be_seen():
+    """A change of 3e-5 is no wider than a dot, and one of 0.5 keeps its frame."""
+    for change in (3e-5, 0.5):
+        points = ChartLine("ours", np.array([1.0, 1.0 + change]), np.array([0, 1]), "learned", "points")
+        chart = Chart("b", "", "ratio", "", (points,), rows=("first", "second"), reference=1.0)
+        free = draw_chart(chart).axes[0].get_xlim()
+        low, high = draw_chart(replace(chart, least_span=0.02)).axes[0].get_xlim()
+        np.testing.assert_allclose(high - low, max(0.02, free[1] - free[0]))
+        np.testing.assert_allclose(low + high, sum(free))
+
+
 def test_a_folder_holds_the_charts_of_its_diagnosis_and_no_older_ones(tmp_path):
     car, diagnosis = road_car(), mismatch()
     drive: Drive = replace(make_drive(3, 3, 4.0, vehicle=car), name=diagnosis.gaps[0].drive)

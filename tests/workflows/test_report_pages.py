@@ -133,7 +133,7 @@ def test_its_headline_leaves_out_what_a_derived_torque_makes_true(run):
     page = evaluation_page(replace(run, traces=(replace(trace, held=held), *run.traces[1:])))
     headline = re.search(r'<h1 id="verdict">(.*?)</h1>', page).group(1)
     assert "v_x" not in headline and "ongitudinal" not in headline
-    assert "the error of v_x says nothing" in page.split("</section>")[0]
+    assert "errors and intervals of v_x say nothing" in page.split("</section>")[0]
 
 
 def test_its_warnings_and_colour_are_those_of_the_headlines_predictor(run):

@@ -111,6 +111,19 @@ def opened(browser, tmp_path):
     return open_page
 
 
+@pytest.mark.parametrize(("change", "share"), [(3e-5, 3e-5 / 0.02), (0.1, 1.0 / 1.08)])
+def test_an_axis_spans_at_least_what_can_be_seen(browser, tmp_path, change, share):
+    """Ratios of 1.00000 and 1.00003 stood at the two ends of the frame, as if much had changed."""
+    line = ChartLine("ours", np.array([1.0, 1.0 + change]), np.array([0, 1]), "learned", "points")
+    row = (Chart("ratio-r", "r", "ratio of errors", "", (line,), rows=("a", "b"), reference=1.0, least_span=0.02),)
+    (tmp_path / "row.html").write_text(page("race", "", "", charts_block(row), row), encoding="utf-8")
+    browser.get((tmp_path / "row.html").as_uri())
+    svg = "#chart-ratio-r .canvas > svg"
+    dots = [float(dot.get_attribute("cx")) for dot in browser.find_elements("css selector", f"{svg} circle")]
+    width = float(browser.find_elements("css selector", f"{svg} > rect")[0].get_attribute("width"))
+    assert (dots[1] - dots[0]) / width == pytest.approx(share, rel=0.01)
+
+
 def test_a_band_breaks_where_its_line_does(browser, tmp_path):
     """An interval was filled from one held-out stretch over the untested minute to the next."""
     low = np.where(abs(T - 5.0) < 1.0, np.nan, -1.0)

@@ -255,7 +255,7 @@ def _added(stages: Sequence[Stage], z: np.ndarray, drive: Drive, window: int) ->
             out.append(one)
         return np.concatenate(out)
 
-    return Correction(_FEATURES, recorded, residual, moves_memory=True)
+    return Correction(_FEATURES, recorded, residual)
 
 
 def _errors(path: np.ndarray, drive: Drive, starts: np.ndarray, window: int, at: np.ndarray) -> np.ndarray:

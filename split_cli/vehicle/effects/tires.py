@@ -260,7 +260,9 @@ class GripFade(Term):
     def tire(self, flow: Flow) -> None:
         """Scale both axles by the grip of the moment."""
         p = self.parameters
-        scale = 1.0 - p["final_loss"] * (1.0 - flow.ops.exp(-flow.t / p["tau"]))
+        # An export's caller may give any time; before the first sample nothing has faded.
+        driven = flow.ops.maximum(flow.t, 0.0)
+        scale = 1.0 - p["final_loss"] * (1.0 - flow.ops.exp(-driven / p["tau"]))
         for axle in (flow.front, flow.rear):
             _scale_grip(axle, scale, self.variant == "curve")
 

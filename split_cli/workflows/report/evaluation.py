@@ -22,7 +22,7 @@ from split_cli.scoring.application import Correction
 from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, predictor_names
 from split_cli.scoring.report import IntervalShares
 from split_cli.scoring.run import EvaluationRun, Trace
-from split_cli.scoring.verdict import Comparison, does_harm
+from split_cli.scoring.verdict import VISIBLE, Comparison, does_harm
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.drive_charts import gathered
 from split_cli.workflows.evaluation_notes import derived_states
@@ -40,6 +40,8 @@ from split_cli.workflows.report.words import escape, number, percent
 
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
 _WARNING = "WARNING: "
+#: Least span of an axis of ratios [1]: a change too small to be reported is a fortieth of it, no wider than a dot.
+_LEAST_SPAN = 40.0 * VISIBLE
 _RATIOS = (
     "Error divided by that of the nominal model: left of the line at 1 it is smaller. Bars are 95 % "
     "intervals; where too little time was held out for one, a ratio has none and says little."
@@ -58,10 +60,11 @@ def evaluation_page(run: EvaluationRun, charts: Sequence[Chart] | None = None) -
     names = ", ".join(drive.name for drive in report.drives)
     of_motion = derived_states(trace.held.drive.metadata for trace in run.traces)
     believed = [c for c in report.comparisons if c.name in report.settings.predictors and c.state not in of_motion]
+    notes = [n for n in report.notes if not n.startswith(_WARNING) and n not in of_motion.values()]
     body = (
         f"{_verdict(run, believed, of_motion.values())}{_errors(charts)}"
         f"{''.join(chart_sections(charts))}{_tables(run)}"
-        f"{notes_section([_sentence(note) for note in report.notes if not note.startswith(_WARNING)], 'Notes')}"
+        f"{notes_section([_sentence(note) for note in notes], 'Notes')}"
     )
     return page("evaluate", f"{names} with {report.vehicle}", f"{_headline(believed)[1]} {names}", body, charts)
 
@@ -185,6 +188,7 @@ def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) 
                     note,
                     rows=tuple(when),
                     reference=1.0,
+                    least_span=_LEAST_SPAN,
                 )
             )
     return charts

@@ -85,6 +85,7 @@ def chart_payload(chart: Chart) -> dict[str, Any]:
         "wide": chart.wide,
         "group": chart.group,
         "reference": chart.reference,
+        "least_span": chart.least_span,
         "bands": [{"low": band.low, "high": band.high, "name": readable(band.name)} for band in chart.bands],
         "series": [_series(one) for one in chart.series],
     }

@@ -9,11 +9,12 @@
   const choice = document.getElementById("along");
   let along = Boolean(choice && choice.querySelector("[value=s]").checked); // whether charts with two kinds of x show the other one
 
-  function spread(lists, margin = 0.04) {
+  function spread(lists, margin = 0.04, least = 0) {
     let [low, high] = [Infinity, -Infinity];
     for (const list of lists) for (const v of list) if (Number.isFinite(v)) { if (v < low) low = v; if (v > high) high = v; }
     if (!(high >= low)) return [0, 1];
-    const more = high > low ? margin * (high - low) : Math.abs(high) * 0.1 || 0.5;
+    const own = high > low ? margin * (high - low) : least ? 0 : Math.abs(high) * 0.1 || 0.5;
+    const more = Math.max(own, (least - (high - low)) / 2);
     return [low - more, high + more];
   }
 
@@ -34,7 +35,7 @@
         const ends = lists.flatMap((one) => [one.x, one.low || [], one.high || []]);
         const zero = lists.some((one) => one.kind === "bars") ? [[0]] : [];
         const at = spec.reference === null ? [] : [[spec.reference]];
-        return { x: view ? view.x : spread([...ends, ...zero, ...at]), y: [-0.6, rows.length - 0.4] };
+        return { x: view ? view.x : spread([...ends, ...zero, ...at], 0.04, spec.least_span), y: [-0.6, rows.length - 0.4] };
       }
       if (view && !strips) return view;
       const x = view ? view.x : spread(lists.map(across), strips ? 0 : 0.04);

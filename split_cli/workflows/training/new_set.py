@@ -23,6 +23,7 @@ from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.set_limits import MOST_CELLS_OF_A_GRID
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
+from split_cli.logs.drive_metadata import CIRCULAR
 from split_cli.logs.scratch import in_pieces, selected
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive, held_out_whole
 from split_cli.scoring.found_lags import Prepared, decide, lag_notes
@@ -182,8 +183,12 @@ def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
     scales = {f"length scale {i + 1}": f"length scale of {name}" for i, name in enumerate(names)}
     outputs = (("vx", "v_x"), ("vy", "v_y"), ("r", "r"))
     scales |= {f"{what} of {o}": f"{what} deviation of {name}" for what in ("signal", "noise") for o, name in outputs}
-    bounds = [scales.get(name, name) for name in fit.at_bound]
-    drives.note(*(f"the {name} ended on a bound of the fit: the labels do not determine it" for name in bounds))
+    # Of a state whose labels say nothing, `limits_of` says so.
+    silent = set.intersection(*(set(drives.labels(number).circular) for number in range(len(drives))))
+    bounds = [name for bound in fit.at_bound if (name := scales.get(bound, bound)).rpartition(" ")[2] not in silent]
+    if bounds:
+        them = "it" if len(bounds) == 1 else "them"
+        drives.note(f"the {', '.join(bounds)} ended on a bound of the fit: the labels do not determine {them}")
     return fit
 
 
@@ -207,8 +212,9 @@ def _first_valid(drives: LabelledDrives) -> Labels:
     advice = "Check units and signs with `split info`, and that the vehicle file is of this car."
     if 2 * labels.counts().get(Reason.SPEED.word, 0) > len(labels.reason):
         advice = (
-            "Most are slower than 5 sqrt(wheelbase/2.7 m) m/s, where slip angles tell nothing of the tyres. Drive "
-            "faster, or check the unit of v_x and that the vehicle file is of this car."
+            f"Most are slower than {labels.region.minimum_speed:.3g} m/s, where slip angles tell nothing of the tyres. "
+            "Drive faster, or check unit and sign of v_x, which is positive ahead, and that the vehicle file is of "
+            "this car."
         )
     raise SetError(f"no sample is inside the valid region (rejected: {counts})", where=labels.drive, advice=advice)
 
@@ -236,7 +242,7 @@ def trust_notes(trust: Trust, torque_follows_motion: bool = False) -> list[str]:
     Parameters
     ----------
     torque_follows_motion : bool
-        T was derived from the acceleration: what v_x lacks is what the derivation got wrong, and is not applied.
+        T was derived from the motion: what v_x lacks is what the derivation got wrong, and is not applied.
     """
     if trust.origin == "unjudged":
         return [
@@ -247,7 +253,7 @@ def trust_notes(trust: Trust, torque_follows_motion: bool = False) -> list[str]:
     notes = []
     if torque_follows_motion and left_out[:1] == ["v_x"]:
         left_out = left_out[1:]
-        notes.append("no correction of v_x is applied: T was derived from its acceleration")
+        notes.append(f"no correction of v_x is applied: {CIRCULAR['v_x']}")
     if not left_out:
         return notes
     return [

@@ -19,6 +19,7 @@ from split_cli.learning.labels import DEFAULT_HORIZON
 from split_cli.learning.region import Region
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
 from split_cli.learning.trust import Trust
+from split_cli.scoring.circular import limits_of
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.other_vehicle import trained_for_another
@@ -204,7 +205,7 @@ def _train_set(
     offered = sum(row.samples for row in table)
     total = _row(trained, trained.sources, "total", seconds, offered)
     horizons = tuple(source.horizon for source in trained.sources[-len(table) :])
-    notes = (*drives.notes, *notes_on_rejections(total, trained.region))
+    notes = (*drives.notes, *limits_of(trained), *notes_on_rejections(total, trained.region))
     return TrainResult(
         str(output), tuple(table), total, horizons, trained.kernel, fit, trained.trust, notes, tuple(laps)
     )
