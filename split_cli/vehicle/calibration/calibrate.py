@@ -16,7 +16,7 @@ from split_cli.vehicle.calibration.turning import (
     estimate_yaw_inertia,
     with_estimates,
 )
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import LEFT_OPEN, Vehicle
 from split_cli.vehicle.tire import MagicFormula, lateral_force
 
 _OPEN_SLOPE = 0.25
@@ -263,7 +263,10 @@ def _marked(
         if note:
             notes[key] = note
 
-    for curve in (curve for curve in curves if curve.determined):
+    for curve in curves:
+        if not curve.determined:
+            notes[f"{curve.axle}_tire.B"] = LEFT_OPEN
+            continue
         for name in ("B", "C", "D"):
             key = f"{curve.axle}_tire.{name}"
             if name in curve.determined:
