@@ -58,7 +58,7 @@ def _differs(estimate: ParameterEstimate, neutral: float) -> bool:
 def _size(estimate: ParameterEstimate) -> str:
     unit, below = _THOUSANDTHS.get(estimate.unit, ("", 0.0))
     value, unit = (1e3 * estimate.value, unit) if abs(estimate.value) < below else (estimate.value, estimate.unit)
-    return f"{_significant(value)} {'' if unit == '1' else unit}".strip().replace("-", "−")
+    return f"{_significant(value)} {'' if unit == '1' else unit}".strip().replace("-", "−").replace("^2", "²")
 
 
 def _significant(value: float) -> str:
