@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,8 @@ class CalibrationSettings:
     max_longitudinal_acceleration: float = 2.0
     max_lateral_acceleration: float = 2.0  # for the resistances, samples beyond it are left out [m/s^2]
     smoothing: float | None = None  # standard deviation of the kernel [s]; None as `motion_samples` has it
-    offsets: bool = False  # whether constant offsets of the slip angles are fitted
+    # Whether constant offsets of the slip angles are fitted; if not, those that are beyond chance are all the same.
+    offsets: bool = False
     # draws, seed: how often blocks of time are resampled, and the seed.
     draws: int = 200
     seed: int = 0
@@ -63,11 +65,12 @@ class Calibration:
     force_front: np.ndarray
     slip_rear: np.ndarray
     force_rear: np.ndarray
+    notes: tuple[str, ...] = ()  # what was left out, in sentences
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """All that the reader must know, in sentences."""
-        found = [remark for curve in self.curves for remark in (*curve.remarks, *curve.slip_remarks)]
+        found = [*self.notes, *(remark for curve in self.curves for remark in (*curve.remarks, *curve.slip_remarks))]
         found += self.resistance.remarks if self.resistance else ()
         for estimate in self.estimates:
             if not estimate.settled:
@@ -150,22 +153,25 @@ def _fit_curves(
     forces, everywhere = axle_lateral_forces(gentle, vehicle), axle_lateral_forces(samples, vehicle)
     curves, follows = [], []
     for (axle, slip, noise, load), force, force_anywhere in zip(axles, forces, everywhere, strict=True):
-        tire = getattr(start, f"{axle}_tire")
-        curve = fit_force_curve(
+        fit = partial(
+            fit_force_curve,
             axle,
             slip,
             force,
             gentle.block,
-            tire,
+            getattr(start, f"{axle}_tire"),
             given_peak=_given_peak(start, axle, load),
             static_load=load,
             largest_force=float(np.quantile(np.abs(force_anywhere), 0.995)),
             slip_noise=noise,
             alpha_max=settings.alpha_max,
-            fit_offset=settings.offsets,
             draws=draws,
             seed=settings.seed,
         )
+        curve = fit(fit_offset=settings.offsets)
+        if curve.slip_remarks and not settings.offsets:
+            # An offset bends the curve. It is no property of the tyre, so the fit is not left to bear it.
+            curve = fit(fit_offset=True)
         along = float(np.corrcoef(slip, force)[0, 1])
         curves.append(curve)
         follows.append(along)
