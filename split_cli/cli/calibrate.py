@@ -17,8 +17,8 @@ from split_cli.cli.verbosity import print_notes
     default="tires,drag,rolling",
     callback=shared.list_of(str),
     metavar="LIST",
-    help="What to fit: any of tires, drag, rolling, splits, inertia. Without the option, drag and rolling resistance are "
-    "left out where the torque was derived with those of the vehicle file.",
+    help="What to fit: any of tires, drag, rolling, splits, inertia. Without the option, drag and rolling resistance "
+    "are left out where the torque was derived with those of the vehicle file.",
 )
 @click.option("--training-blocks", is_flag=True, help="Leave out the blocks of time that `split evaluate` holds out.")
 @click.option("--offsets", is_flag=True, help="Fit a constant offset of each slip angle even if it is within chance.")

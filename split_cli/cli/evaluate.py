@@ -143,7 +143,9 @@ def command(
     return 1 if failed or absent else 0
 
 
-def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict) -> tuple[bool, bool, bool]:
+def _evaluate(
+    drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict
+) -> tuple[bool, bool, bool]:
     """Evaluate and print.
 
     Returns

@@ -66,8 +66,7 @@ def test_a_lap_is_driven_with_an_export(learned, tmp_path):
     # A table of `learner none` without points did not say that an export had driven.
     assert driven["start"] == "export wet (projected)"
     done = invoke(
-        f"race --vehicle {CAR} --track {ring(tmp_path)} --laps 1 --max-speed 10 --learner none "
-        f"--start-set {learned[0]}"
+        f"race --vehicle {CAR} --track {ring(tmp_path)} --laps 1 --max-speed 10 --learner none --start-set {learned[0]}"
     )
     assert done.exit_code == 0, done.output
     assert "learner none, begins with set wet.split (bcm)\n" in done.stdout

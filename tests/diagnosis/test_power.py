@@ -54,11 +54,7 @@ def test_nobody_is_advised_to_do_what_the_file_says_was_done():
     fitted = road_car(origins={"rear_tire.B": "calibrated"})
     tried = road_car(notes={"front_tire.B": LEFT_OPEN})
     for car, advised in ((road_car(), True), (fitted, False), (tried, False)):
-        for said in (
-            no_match_in_words(hidden, 41.0, car),
-            most_unseen_in_words(car),
-            much_form_error_in_words(car),
-        ):
+        for said in (no_match_in_words(hidden, 41.0, car), most_unseen_in_words(car), much_form_error_in_words(car)):
             assert ("split calibrate" in said) is advised
             assert "rive " in said  # what is left to do
     assert "CG shift with dx = -0.23 m would" in no_match_in_words(hidden, 41.0, fitted)

@@ -122,7 +122,9 @@ def test_a_model_that_spins_runs_away_and_one_with_an_offset_does_not():
     assert runs_away(rolled(lambda t: np.exp((t - 2.0) / 0.4) / 3.0)) == ()
     assert runs_away(rolled(np.exp, horizons=(2.0,))) == ()
     first, *_ = warnings_of(rolled(lambda t: np.exp(t / 0.4)))
-    assert first.startswith("WARNING: the corrected model (bcm) runs away, as in a spin: after 2 s its error of v_y is ")
+    assert first.startswith(
+        "WARNING: the corrected model (bcm) runs away, as in a spin: after 2 s its error of v_y is "
+    )
     assert first.endswith("; the nominal model does so too")
 
 

@@ -39,7 +39,9 @@ class HiddenEffect:
     def words(self) -> str:
         """The term with its value."""
         unit = CATALOGUE[self.term].parameter_units()[self.parameter]
-        return f"{term_name(self.term)} with {self.parameter} = {number(self.value, 2)}{'' if unit == '1' else f' {unit}'}"
+        return (
+            f"{term_name(self.term)} with {self.parameter} = {number(self.value, 2)}{'' if unit == '1' else f' {unit}'}"
+        )
 
 
 def hidden_effects(

@@ -13,8 +13,8 @@ from split_cli.diagnosis.statement.sentences import tolerance_sentence
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 
-#: Of what is usual, from which on a sensor's error is worth a word [1]. Judgement: a bias of 0.015 m/s^2 where 0.245 m/s^2
-#: is usual is below what an accelerometer resolves.
+#: Of what is usual, from which on a sensor's error is worth a word [1]. Judgement: a bias of 0.015 m/s^2 where
+#: 0.245 m/s^2 is usual is below what an accelerometer resolves.
 _WORTH_A_WORD = 0.5
 
 

@@ -197,7 +197,11 @@ def _kept_where_open(
                     "place of v_y, the place of the CG, and the signs of v_y, r and delta)"
                 )
             reasons.append(f"the {curve.axle} slope is {spread}{why}")
-        elif curve.held_out.calibrated >= min(curve.held_out.start, curve.held_out.signal):
+        elif curve.held_out.calibrated >= curve.held_out.signal or (
+            # Tyres that cannot give what the axle gave are no better, whatever their error.
+            curve.held_out.calibrated >= curve.held_out.start
+            and curve.peak[0] <= getattr(start, f"{curve.axle}_tire").D
+        ):
             reasons.append(
                 f"on held-out blocks the {curve.axle} curve is no better than the start file's, or than no force"
             )

@@ -123,7 +123,9 @@ def _headline(comparisons: Sequence[Comparison]) -> tuple[str, str]:
         return "mismatch", f"The learned correction makes {states} worse."
     away = runs_away(judged)
     if away:
-        whose = "The model runs away, with the correction and without" if nominal_runs_away(away) else "The model runs away"
+        whose = (
+            "The model runs away, with the correction and without" if nominal_runs_away(away) else "The model runs away"
+        )
         worst = max(away, key=lambda c: c.to_held[0])
         state = _STATES[worst.state][0].lower()
         return "mismatch", f"{whose}: {state} errs {worst.to_held[0]:.2g} times as much as velocities held."
