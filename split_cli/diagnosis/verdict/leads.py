@@ -35,8 +35,8 @@ def find_leads(
     -----
     A term whose fit ended at a bound of a real car's range is fitted again with wider bounds: alone, and beside the
     findings. It is a lead if it then explains a large share, if it does not end at the wider bound, and if its interval
-    excludes no effect. Alone it is no lead where a finding explains as much. Beside findings it must also pass the tests
-    of a further finding, with a stricter level.
+    excludes no effect. Alone it is no lead where a finding explains as much. Beside findings it must also pass the
+    tests of a further finding, with a stricter level.
     """
     chosen, known = selection.chosen, {term.id for term in selection.terms}
     explore = Explorer(objective, tuple(fit.parts[-1].candidate for fit in selection.first), variance_inflation)

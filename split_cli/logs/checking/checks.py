@@ -52,6 +52,9 @@ _MOST_SIDEWAYS = 3.0
 NOT_RECORDED = "derived: nothing"
 """Kind of a required channel that a draft has to fill in and nothing recorded."""
 
+_STANDING = 0.3
+"""Speed [m/s], and extent of the path [m], below which nothing has driven; that of receivers at rest is smaller."""
+
 
 @dataclass(frozen=True)
 class Unjudged:
@@ -113,7 +116,21 @@ class Checks:
             self._still[channel] = runs
         return self._still[channel]
 
+    def stands(self) -> bool:
+        """Whether the car stands from end to end: no speed worth the name, and no path."""
+        if "vx" not in self.k or "vx" in self.derived:
+            return False
+        ground = [np.ptp(self.k.columns[c][np.isfinite(self.k.columns[c])]) for c in ("X", "Y") if c in self.k]
+        return bool(np.nanmax(np.abs(self.k.columns["vx"])) < _STANDING and max(ground, default=0.0) < _STANDING)
+
     def constant_channels(self) -> list[ConsistencyFinding]:
+        if self.stands():
+            fastest = float(np.nanmax(np.abs(self.k.columns["vx"])))
+            text = (
+                f"the car stands from end to end: v_x is {fastest:.2g} m/s at most. Nothing can be judged or learned: "
+                "take a log in which it drives."
+            )
+            return [ConsistencyFinding("standing", "vx", text)]
         found = []
         for channel in (*REQUIRED_CHANNELS, "ax", "ay", "yaw"):
             if channel in self.k and channel not in self.derived:

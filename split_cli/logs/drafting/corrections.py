@@ -282,7 +282,7 @@ def _speed_at_fault(chosen: Mapping[str, Suggestion], verdict: Consistency) -> s
     beside = next(r for r in verdict.relations if r.holds and "vx" in r.powers)
     return (
         f"{failed.name} {failed.slope.slope:.3g}, and {beside.name} {beside.slope.slope:.3g} fits better with that "
-        f"factor in vx: its scale is wrong, or the wheels slip. `--derive velocity-from-pose` takes v_x from X, Y and yaw"
+        "factor in vx: its scale is wrong, or the wheels slip. `--derive velocity-from-pose` takes v_x from X, Y, yaw"
     )
 
 
