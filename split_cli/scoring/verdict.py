@@ -282,15 +282,15 @@ def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     warning. A model that runs away is warned of first.
     """
     warnings = []
-    for name in dict.fromkeys(c.name for c in comparisons):
-        away = runs_away([c for c in comparisons if c.name == name])
-        if away:
-            worst = max(away, key=lambda c: c.to_held[0])
-            too = "; the nominal model does so too" if nominal_runs_away(away) else ""
-            warnings.append(
-                f"WARNING: the corrected model ({name}) runs away, as in a spin: {worst.when} its error of "
-                f"{worst.state} is {worst.to_held[0]:.2g} times that of holding the velocities{too}"
-            )
+    names = dict.fromkeys(c.name for c in comparisons)
+    away = [c for name in names for c in runs_away([one for one in comparisons if one.name == name])]
+    if away:
+        worst = max(away, key=lambda c: c.to_held[0])
+        too = "; the nominal model does so too" if nominal_runs_away(away) else ""
+        warnings.append(
+            f"WARNING: the corrected model ({worst.name}) runs away, as in a spin: {worst.when} its error of "
+            f"{worst.state} is {worst.to_held[0]:.2g} times that of holding the velocities{too}"
+        )
     for state in STATES:
         for other, attribute, is_worse in (
             ("the nominal model", "to_nominal", does_harm),

@@ -100,7 +100,7 @@ def calibrate_vehicle(
     samples = samples.where(samples.vx >= start.minimum_speed)
     if not len(samples):
         what = f"the drives never reach {start.minimum_speed:.2g} m/s, the minimum speed"
-        raise VehicleError(what, advice="Add faster drives, or lower `minimum_speed` in the vehicle file.")
+        raise VehicleError(what, advice="Add faster drives. It follows from the wheelbase.")
     vehicle = start
     gentle = _gentle(samples, settings)
     curves: tuple[ForceCurve, ...] = ()
