@@ -64,10 +64,10 @@ def _of_least_understeer(s: Suggestion, others: Mapping[str, Draft]) -> Suggesti
         return s
     same = [(name, one) for name, other in others.items() for one in other.all_of(s.channel)]
     open_there = [(one.reach, name, one) for name, one in same if one.status == "open" and one.sources == s.sources]
-    told = [(reach, name, one) for reach, name, one in open_there if reach is not None]
-    if not told:
+    known = [(reach, name, one) for reach, name, one in open_there if reach is not None]
+    if not known:
         return s
-    least, name, one = min(told, key=lambda each: each[:2])
+    least, name, one = min(known, key=lambda each: each[:2])
     return s if s.reach is not None and s.reach <= least else replace(one, reason=f"{one.reason}; by {name}")
 
 
