@@ -101,6 +101,8 @@ def _tell(result) -> None:
     chance = result.p_value
     p_value = "" if chance is None else ", p < 1e-6" if chance < 1e-6 else f", p = {chance:.2g}"
     click.echo(f"{result.verdict}{p_value}; compared {100.0 * result.compared_share:.0f} % of the real drive")
+    if result.doubt:
+        click.echo(result.doubt)
     click.echo("\n".join(result.sentences))
     # Beside the summary: a match says nothing of what these drives cannot show.
     for note in result.not_judged:
@@ -108,7 +110,7 @@ def _tell(result) -> None:
             click.echo(f"not judged: {note}")
     if result.findings:
         rows = [
-            [f.term, name, *pair_known(p.value, p.std_error), p.unit, ", ".join(f.alternatives)]
+            [f.label, name, *pair_known(p.value, p.std_error), p.unit, ", ".join(f.alternatives)]
             for f in result.findings
             for name, p in f.parameters.items()
         ]

@@ -252,7 +252,7 @@ def test_tyres_that_cannot_give_what_the_axle_gave_are_not_kept(road_car):
     settings = {"given_peak": car.rear_tire.D, "static_load": 7000.0, "draws": 0}
     curve = fit_force_curve("rear", slip, force, block, car.rear_tire, **settings)
     no_better = replace(curve, held_out=replace(curve.held_out, calibrated=1.01 * curve.held_out.start))
-    front = replace(curve, axle="front")
+    front = replace(curve, axle="front", held_out=replace(curve.held_out, calibrated=0.9 * curve.held_out.start))
     for peak, kept in ((car.rear_tire.D, True), (0.9 * curve.peak[0], False)):
         tire = MagicFormula(car.rear_tire.B, car.rear_tire.C, peak)
         (_, rear) = _kept_where_open((front, no_better), (0.9, 0.9), replace(car, rear_tire=tire))
