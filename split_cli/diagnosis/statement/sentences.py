@@ -130,11 +130,10 @@ def hidden_sentence(
     apart : bool
         Whether it has no name since reality and simulation were driven too differently.
     """
-    reasons = f"Over 0.05 s it changes the motion by {size:.2g} times sensor noise. "
+    wrong = "What the model gets wrong of the findings may be as large."
     if apart:
-        reasons += "Where one was driven and the other was not, what the vehicle file gets wrong may be as large."
-    else:
-        reasons += "What the model gets wrong of the findings may be as large."
+        wrong = "Where one was driven and the other was not, what the vehicle file gets wrong may be as large."
+    reasons = f"Over 0.05 s it changes the motion by {size:.2g} times sensor noise. {wrong}"
     if instead:
         reasons += f" The same would be explained by {' or '.join(instead)}."
     return _stated_as_lead(term, variant, parameters, reasons, vehicle)

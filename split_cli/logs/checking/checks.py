@@ -23,7 +23,7 @@ from split_cli.logs.checking.wheel_speeds import AXLES, outer_wheels, without_tu
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, is_derived, yaw_rate_is_of_acceleration
 from split_cli.logs.scratch import set_aside
-from split_cli.signals import REQUIRED_CHANNELS, STANDARD_GRAVITY
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.parameters import Vehicle
 
 LEAST_CORRELATION = 0.8
@@ -51,9 +51,6 @@ _MOST_SIDEWAYS = 3.0
 """99 % quantile of |v_y/v_x| in motion that no car reaches [1]: 72 degrees of sideslip."""
 NOT_RECORDED = "derived: nothing"
 """Kind of a required channel that a draft has to fill in and nothing recorded."""
-
-_STANDING = 0.3
-"""Speed [m/s], and extent of the path [m], below which nothing has driven; that of receivers at rest is smaller."""
 
 
 @dataclass(frozen=True)
@@ -115,37 +112,6 @@ class Checks:
             runs = still_runs(self.k.columns[channel], self.k.segments, self.k.period) if known else []
             self._still[channel] = runs
         return self._still[channel]
-
-    def stands(self) -> bool:
-        """Whether the car stands from end to end: no speed worth the name, and no path."""
-        if "vx" not in self.k or "vx" in self.derived:
-            return False
-        ground = [np.ptp(self.k.columns[c][np.isfinite(self.k.columns[c])]) for c in ("X", "Y") if c in self.k]
-        return bool(np.nanmax(np.abs(self.k.columns["vx"])) < _STANDING and max(ground, default=0.0) < _STANDING)
-
-    def constant_channels(self) -> list[ConsistencyFinding]:
-        if self.stands():
-            fastest = float(np.nanmax(np.abs(self.k.columns["vx"])))
-            text = (
-                f"the car stands from end to end: v_x is {fastest:.2g} m/s at most. Nothing can be judged or learned: "
-                "take a log in which it drives."
-            )
-            return [ConsistencyFinding("standing", "vx", text)]
-        found = []
-        for channel in (*REQUIRED_CHANNELS, "ax", "ay", "yaw"):
-            if channel in self.k and channel not in self.derived:
-                values = self.k.columns[channel]
-                if np.nanmax(values) == np.nanmin(values):
-                    found.append(
-                        ConsistencyFinding(
-                            "constant",
-                            channel,
-                            f"{channel} never changes ({values[0]:g}): it is probably not measured. "
-                            "Map a signal that is, or derive it.",
-                            None,
-                        )
-                    )
-        return found
 
     def magnitudes(self) -> list[Plausible]:
         """Return what the 99 % quantiles of channels reach, with what no car reaches."""
