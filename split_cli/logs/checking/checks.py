@@ -259,7 +259,7 @@ class Checks:
             k.of("L r/vx", lambda: car.wheelbase * k.columns["r"] / np.where(np.abs(vx) > 0, vx, 1.0)),
             car.understeer_gradient * k.turning(),
         )
-        if np.nanstd(np.where(k.moving, parts[0], np.nan)) < 1e-4:
+        if not k.moving.any() or np.nanstd(parts[0][k.moving]) < 1e-4:
             self.unjudged.append(Unjudged(name, "the car hardly turns"))
             return
         delta = k.signal("delta")
