@@ -17,10 +17,11 @@ from split_cli.cli.verbosity import print_notes
     default="tires,drag,rolling",
     callback=shared.list_of(str),
     metavar="LIST",
-    help="What to fit: any of tires, drag, rolling, splits, inertia.",
+    help="What to fit: any of tires, drag, rolling, splits, inertia. Without the option, drag and rolling resistance "
+    "are left out where the torque was derived with those of the vehicle file.",
 )
 @click.option("--training-blocks", is_flag=True, help="Leave out the blocks of time that `split evaluate` holds out.")
-@click.option("--offsets", is_flag=True, help="Also fit a constant offset of each slip angle.")
+@click.option("--offsets", is_flag=True, help="Fit a constant offset of each slip angle even if it is within chance.")
 @click.option(
     "--measured-ay", is_flag=True, help="Use the channel ay instead of v_y' + v_x r; correct on a banked road."
 )
@@ -117,6 +118,8 @@ def command(
         offsets=offsets,
     )
     given = {"training_blocks": training_blocks, "measured_lateral_acceleration": measured_ay}
+    source = click.get_current_context().get_parameter_source("parts")
+    given["only_what_can_be_fitted"] = source is click.core.ParameterSource.DEFAULT
     with local_drives(files) as paths:
         calibration, used = calibrate_files(paths, start, output, settings, **given)
     if figure is not None:
@@ -165,7 +168,8 @@ def _show_calibration(calibration, drives, used, output, as_json) -> None:
                 c.tire.D,
                 " ".join(c.determined) or "none",
                 *_stiffness(c),
-                *map(three_digits, (c.covered, c.deviation_covered, c.deviation_everywhere)),
+                three_digits(c.covered),
+                *_differences(c),
                 *map(three_digits, (c.held_out.calibrated, c.held_out.start, c.held_out.signal)),
             )
             for c in calibration.curves
@@ -204,6 +208,13 @@ def _stiffness(curve) -> tuple[float | str, float | str]:
         return "open", "open"
     middle, low, high = curve.cornering_stiffness
     return pair_known(middle, 0.5 * (high - low))
+
+
+def _differences(curve) -> tuple[str, ...]:
+    """Return by how much equally good curves differ; nothing where not even their slope is known."""
+    if not curve.slope_is_known:
+        return "open", "open"
+    return tuple(map(three_digits, (curve.deviation_covered, curve.deviation_everywhere)))
 
 
 def _show_conversion(conversion, output, as_json) -> None:

@@ -136,16 +136,26 @@ def command(
             _select(paths, vehicle_path, set_path, output, as_json, tried, settings)
         else:
             worked = engine, scheduler, jobs, keep_going
-            learned, failed = _evaluate(paths, vehicle_path, set_path, output, as_json, worked, settings)
+            learned, away, failed = _evaluate(paths, vehicle_path, set_path, output, as_json, worked, settings)
     shared.tell_left_out(tuple(map(str, absent)))
     if not as_json and not select:
-        _tell_what_follows(drives, vehicle_path, set_path, learned)
+        _tell_what_follows(drives, vehicle_path, set_path, learned, away)
     return 1 if failed or absent else 0
 
 
-def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict) -> tuple[bool, bool]:
-    """Evaluate and print; return whether the set was trained on every drive, and whether drives were left out."""
+def _evaluate(
+    drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict
+) -> tuple[bool, bool, bool]:
+    """Evaluate and print.
+
+    Returns
+    -------
+    tuple of bool
+        Whether the set was trained on every drive, whether the nominal model runs away, and whether drives were left
+        out.
+    """
     from split_cli.scoring.report import EvaluationSettings
+    from split_cli.scoring.verdict import nominal_runs_away, runs_away
     from split_cli.workflows.engine import open_engine
     from split_cli.workflows.evaluate import evaluate_files
 
@@ -171,11 +181,18 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
         shared.print_json(run.report)
     else:
         _print_report(run.report)
-    return set_path is not None and all(drive.in_sample for drive in run.report.drives), bool(run.failures)
+    first = [c for c in run.report.comparisons if c.name == asked.predictors[0]]
+    learned = set_path is not None and all(drive.in_sample for drive in run.report.drives)
+    return learned, nominal_runs_away(runs_away(first)), bool(run.failures)
 
 
-def _tell_what_follows(drives, vehicle_path, set_path, learned: bool) -> None:
-    if learned:
+def _tell_what_follows(drives, vehicle_path, set_path, learned: bool, runs_away: bool) -> None:
+    if runs_away:
+        made = shared.named_after(drives[0], "calibrated.yaml")
+        words = ["split", "calibrate", *drives, "--vehicle", vehicle_path or "VEHICLE", "-o", made]
+        what = "the vehicle file runs away on this driving, so no correction of it is worth an export"
+        shared.tell_next(words, before=f"{what}. Fit it to this driving, then train and evaluate again: ")
+    elif learned:
         vehicle = [] if vehicle_path is None else ["--vehicle", vehicle_path]
         unseen = ["split", "evaluate", "ANOTHER_DRIVE", "--set", set_path, *vehicle]
         shared.tell_next(unseen, before="these drives were learned, so take another one, ")

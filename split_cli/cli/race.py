@@ -243,7 +243,8 @@ def command(
 
 def _tell(result) -> None:
     """Print the laps of one race."""
-    click.echo(f"{result.track}, {result.length:.0f} m a lap; {result.car}, learner {result.learner}")
+    begins = f", begins with {result.start}" if result.start else ""
+    click.echo(f"{result.track}, {result.length:.0f} m a lap; {result.car}, learner {result.learner}{begins}")
     header = [
         "lap",
         "time s",

@@ -122,6 +122,12 @@ def command(
     _print_rows(result)
     if result.laps:
         _print_laps(result.laps)
+    from split_cli.learning.hyperparameters import FEWEST_TO_FIT
+
+    if result.total.accepted < FEWEST_TO_FIT:
+        more = ["split", "train", "ANOTHER_DRIVE", "--vehicle", vehicle_path, "-o", output, "--append"]
+        shared.tell_next(more, before="too little was learned to be judged, so add a drive: ")
+        return 1 if result.failures else 0
     figures = shared.named_after(output, "figures/")
     unseen = ["split", "evaluate", "ANOTHER_DRIVE", "--set", output, "--vehicle", vehicle_path, "-o", figures]
     shared.tell_next(unseen, before="on a drive that was not learned, ")

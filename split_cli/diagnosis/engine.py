@@ -45,10 +45,11 @@ from split_cli.diagnosis.verdict.held_out_judgement import (
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.diagnosis.verdict.planted import planted_saving
 from split_cli.diagnosis.verdict.power import (
-    MOST_UNSEEN,
     hidden_effects,
     hidden_in_words,
     is_blind,
+    most_unseen_in_words,
+    much_form_error_in_words,
     no_match_in_words,
     unseen_in_words,
 )
@@ -71,10 +72,6 @@ _DRIVEN_DIFFERENTLY = (
     "Reality and simulation were driven too differently: {ours:.0f} % of the real drive's operating points are "
     "among the simulation's, and {theirs:.0f} % the other way round. What the vehicle file gets wrong looks like "
     "an effect then. Drive both over the same speeds, torques and turns."
-)
-_MUCH_FORM_ERROR = (
-    "small effects: halves of the simulation differ by far more than noise, and smaller effects are not "
-    "identified; calibrate the vehicle file (split calibrate), or drive both more alike"
 )
 _SHORT_SIMULATION = (
     "The simulation has {rows} rows of 0.04 s of driving; {least} are needed to tell what the vehicle file gets "
@@ -140,7 +137,7 @@ def diagnose(
     candidates = _candidates(case, vehicle, policy)
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
     if outcome.self_test.ratio > policy.selection.much_over_noise:
-        not_judged += (_MUCH_FORM_ERROR,)
+        not_judged += (much_form_error_in_words(vehicle),)
     # A scale error that a named sensor fault explains is no contradiction any more.
     positions = _lateral_witnesses(case)
     contradictions = out_of_scale(*positions, outcome.selection.terms, policy.screening)
@@ -151,7 +148,7 @@ def diagnose(
     detectable = _detection_limits(case, candidates, outcome, reach, policy)
     if found.p_value >= policy.comparison.level:
         judged = _with_known_torque(candidates, real) if case.simulated else []
-        return _match(case, found, judged, share, not_judged, {**record, "detectable": detectable})
+        return _match(case, found, vehicle, judged, share, not_judged, {**record, "detectable": detectable})
     progress("judging")
     theirs = case.visited(reach, policy)
     apart = bool(case.simulated) and not _is_common(share, theirs, policy)
@@ -301,6 +298,7 @@ def _is_common(share: float, theirs: np.ndarray, policy: Policy) -> bool:
 def _match(
     case: DiagnosisCase,
     found: _Comparison,
+    vehicle: Vehicle,
     judged: Sequence[Candidate],
     share: float,
     not_judged: tuple[str, ...],
@@ -312,9 +310,9 @@ def _match(
     reasons = list(filter(None, (hidden_in_words(hidden), unseen_in_words(record["detectable"]))))
     open_questions = []
     if hidden and hidden[0].share > objective.policy.selection.fair_share:
-        open_questions = [no_match_in_words(hidden[0], gap)]
+        open_questions = [no_match_in_words(hidden[0], gap, vehicle)]
     elif is_blind(record["detectable"], objective.policy):
-        open_questions = [MOST_UNSEEN, *reasons]
+        open_questions = [most_unseen_in_words(vehicle), *reasons]
     if open_questions:
         stated = _undecided(open_questions, share, record)
         return replace(stated, not_judged=(*stated.not_judged, *not_judged))

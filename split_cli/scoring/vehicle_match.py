@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from split_cli.errors import VehicleError
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
+from split_cli.vehicle.calibration.samples import MotionRun, axle_lateral_forces, motion_samples
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -15,6 +17,9 @@ from split_cli.vehicle.single_track import SingleTrack
 _ANOTHER_CAR = 2.5
 #: Ratio of lateral forces beyond which tyres or road are others than the file says; load and camber make 20 %.
 _ANOTHER_GRIP = 1.4
+#: Ratio of an axle's recorded lateral force to its peak from which on the model slides where the car did not [1]. Noise
+#: and smoothing make some per cent.
+_OVERLOAD = 1.05
 _MOST_ROWS = 20_000
 _FEWEST = 200
 #: Scatter of what the torque gives [m/s^2] below which it is rounding, far below what any sensor resolves.
@@ -125,6 +130,46 @@ def _correlation(recorded: np.ndarray, expected: np.ndarray) -> float:
     """Return the cosine between two signals; 0 where one is zero throughout or not finite."""
     size = float(np.sqrt((recorded @ recorded) * (expected @ expected)))
     return float(recorded @ expected) / size if 0.0 < size < np.inf else 0.0
+
+
+def overloaded_axles(drive: Drive, vehicle: Vehicle) -> tuple[str, ...]:
+    """Return in words which axles carried more lateral force on a drive than the file's tyres can give.
+
+    Notes
+    -----
+    Forces are those of the lateral and the yaw balance, smoothed; 99.5 % of them are smaller than the one that is
+    taken. There the nominal model slides, and open loop it spins. Effects change what a file's tyres give, and a drive
+    of another car is none of this one: nothing is said then.
+    """
+    if vehicle.effects or belonging(drive, vehicle).contradictions():
+        return ()
+    runs = [
+        MotionRun(drive.period, **{name: drive[name][rows] for name in ("vx", "vy", "r", "T", "delta")})
+        for rows in drive.segments()
+    ]
+    try:
+        samples = motion_samples(runs, vehicle)
+    except VehicleError:  # too short for a derivative
+        return ()
+    samples = samples.where(samples.vx >= vehicle.minimum_speed)
+    if len(samples) < _FEWEST:
+        return ()
+    said = []
+    for axle, tire, force in zip(
+        ("front", "rear"), (vehicle.front_tire, vehicle.rear_tire), axle_lateral_forces(samples, vehicle), strict=True
+    ):
+        reached = float(np.nanquantile(np.abs(force), 0.995))
+        if reached > _OVERLOAD * tire.D:
+            said.append(
+                f"its {axle} axle carried {_three(reached)} N across, and D of {axle}_tire is {_three(tire.D)} N: the "
+                "nominal model slides there, and the car did not"
+            )
+    return tuple(said)
+
+
+def _three(value: float) -> str:
+    """Return a number with three digits, without a power of ten."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def near_points(training_set: TrainingSet, z: np.ndarray) -> np.ndarray:

@@ -18,6 +18,9 @@ _MOST_BLOCKS = 40
 _RESAMPLES = 2000
 _INTERVAL = (2.5, 97.5)
 _FEWEST_BLOCKS = 4
+#: Error of velocities held, as a multiple of which a model runs away [1]. Judgement: a model of the car's motion may be
+#: behind velocities held where a state hardly changes, by an offset; not by twice the error, and growing.
+_RUNS_AWAY = 2.0
 VISIBLE = 5e-4
 """Of the ratio to the nominal error, from which on a change is reported [1]; judgement: below, three decimals read
 1.000. Where the trust is small, a change of 0.003 % may be beyond chance, and means nothing."""
@@ -160,6 +163,36 @@ def does_harm(comparison: Comparison) -> bool:
     return low > 1.0 and ratio**2 > 1.0 + NEGLIGIBLE
 
 
+def runs_away(comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
+    """Return the comparisons at the longest horizon of the states in which the open-loop model runs away, as in a spin.
+
+    Parameters
+    ----------
+    comparisons : sequence of Comparison
+        Of one predictor.
+
+    Notes
+    -----
+    Two signs must come together. The error is more than twice that of velocities held, beyond chance; and it grows
+    faster than the time. A constant error of a force makes v_x grow in proportion to the time, and an offset of v_y
+    or r does not grow.
+    """
+    found = []
+    for state in STATES:
+        own = sorted((c for c in comparisons if c.state == state and c.horizon > 0.0), key=lambda c: c.horizon)
+        if len(own) < 2:
+            continue
+        first, last = own[0], own[-1]
+        if last.to_held[1] > _RUNS_AWAY and last.corrected * first.horizon > first.corrected * last.horizon:
+            found.append(last)
+    return tuple(found)
+
+
+def nominal_runs_away(found: Sequence[Comparison]) -> bool:
+    """Return whether the nominal model runs away in a state in which the corrected one does, see `runs_away`."""
+    return any(c.nominal > _RUNS_AWAY * c.held for c in found)
+
+
 def verdict(comparisons: Sequence[Comparison], running: Sequence[Comparison] = ()) -> str:
     """Return in a sentence what the correction is worth, state by state, beyond chance.
 
@@ -245,12 +278,25 @@ def _where(comparisons: Sequence[Comparison], judged: Sequence[Comparison] = ())
 def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     """Return a warning for every state that is worse than the nominal model or than persistence.
 
-    Beyond chance and by what can be seen: what the verdict calls "as the nominal model" is no warning.
+    Beyond chance and by what can be seen: what the verdict calls "as the nominal model" or "hardly worse" is no
+    warning. A model that runs away is warned of first.
     """
     warnings = []
+    names = dict.fromkeys(c.name for c in comparisons)
+    away = [c for name in names for c in runs_away([one for one in comparisons if one.name == name])]
+    if away:
+        worst = max(away, key=lambda c: c.to_held[0])
+        too = "; the nominal model does so too" if nominal_runs_away(away) else ""
+        warnings.append(
+            f"WARNING: the corrected model ({worst.name}) runs away, as in a spin: {worst.when} its error of "
+            f"{worst.state} is {worst.to_held[0]:.2g} times that of holding the velocities{too}"
+        )
     for state in STATES:
-        for other, attribute in (("the nominal model", "to_nominal"), ("holding the velocities", "to_held")):
-            worse = [c for c in comparisons if c.state == state and _is_larger(getattr(c, attribute))]
+        for other, attribute, is_worse in (
+            ("the nominal model", "to_nominal", does_harm),
+            ("holding the velocities", "to_held", lambda c: _is_larger(c.to_held)),
+        ):
+            worse = [c for c in comparisons if c.state == state and is_worse(c)]
             if worse:
                 c = max(worse, key=lambda c: getattr(c, attribute)[0])
                 ratio, low, high = map(_beside_one, getattr(c, attribute))

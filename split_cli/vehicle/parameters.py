@@ -133,6 +133,12 @@ class Vehicle:
         return "assumed" in (self.origins.get("front_tire.B"), self.origins.get("rear_tire.B"))
 
     @property
+    def has_calibrated_tires(self) -> bool:
+        """Whether `split calibrate` has fitted the stiffness of an axle, or found that the drives leave it open."""
+        keys = ("front_tire.B", "rear_tire.B")
+        return any(self.origins.get(key) == "calibrated" or self.notes.get(key) == LEFT_OPEN for key in keys)
+
+    @property
     def lateral_grip(self) -> float:
         """Lateral acceleration that the peaks D of both axles carry [m/s^2]."""
         return (self.front_tire.D + self.rear_tire.D) / self.mass
@@ -161,6 +167,9 @@ class Vehicle:
         """Return the vehicle with terms appended."""
         return replace(self, effects=(*self.effects, *effects))
 
+
+#: Note on the stiffness factor B of an axle whose given tyres `split calibrate` has kept.
+LEFT_OPEN = "split calibrate kept the given tyres: its drives do not determine them"
 
 _POSITIVE = (
     "mass",

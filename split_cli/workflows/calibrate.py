@@ -1,7 +1,7 @@
 """`split calibrate`: a vehicle file from gentle drives, or from another project's parameter file."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import yaml
@@ -34,6 +34,7 @@ def calibrate_files(
     *,
     training_blocks: bool = False,
     measured_lateral_acceleration: bool = False,
+    only_what_can_be_fitted: bool = False,
 ) -> tuple[Calibration, tuple[DriveUse, ...]]:
     """Calibrate a vehicle file from drives and write it.
 
@@ -48,6 +49,8 @@ def calibrate_files(
         evaluation on the same drives stays clean.
     measured_lateral_acceleration : bool
         Take the channel ``ay`` in place of v_y' + v_x r: right on a banked road.
+    only_what_can_be_fitted : bool
+        Leave drag and rolling resistance out, with a note, where the torque was derived with those of the file.
 
     Raises
     ------
@@ -72,13 +75,18 @@ def calibrate_files(
         what = "r and v_y were derived with the rear tyres of the vehicle file; they cannot determine tyres"
         advice = "Take a drive with a gyro or a heading, and a recorded or integrated v_y."
         raise DriveError(what, where=", ".join(sorted(assumed)), advice=advice)
+    notes: tuple[str, ...] = ()
+    if follows and only_what_can_be_fitted and "tires" in settings.parts:
+        settings = replace(settings, parts=tuple(p for p in settings.parts if p not in ("drag", "rolling")))
+        what = f"the torque of {', '.join(sorted(follows))} was derived with those of the vehicle file"
+        notes = (f"drag and rolling resistance are not fitted: {what}",)
     if follows and {"drag", "rolling"} & set(settings.parts):
         what = (
             "the torque was derived from the motion with drag and rolling resistance of the vehicle file, or the "
             "drive does not say from what; it cannot determine them"
         )
         raise DriveError(what, where=", ".join(sorted(follows)), advice="Calibrate the tyres alone: --fit tires.")
-    calibration = calibrate_vehicle(runs, vehicle, settings)
+    calibration = replace(calibrate_vehicle(runs, vehicle, settings), notes=notes)
     if output is not None:
         write_vehicle(calibration.vehicle, output, comment=_provenance(used, settings, training_blocks))
     return calibration, tuple(used)

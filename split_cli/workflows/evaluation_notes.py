@@ -16,7 +16,7 @@ from split_cli.scoring.late_inputs import late_inputs
 from split_cli.scoring.noise import fast_motion
 from split_cli.scoring.report import DriveFacts, EvaluationSettings
 from split_cli.scoring.run import DRAWN_ROWS
-from split_cli.scoring.vehicle_match import share_beyond
+from split_cli.scoring.vehicle_match import overloaded_axles, share_beyond
 from split_cli.scoring.verdict import Comparison
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
@@ -65,6 +65,7 @@ def drive_facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet |
     fast = fast_motion(tested, floor)
     notes += [f"{drive.name}: {fast}"] if fast else []
     notes += late_inputs(drive, tested, model.vehicle, trained.found if trained else ())
+    notes += [f"{drive.name}: {said}" for said in overloaded_axles(drive, model.vehicle)]
     notes += [] if trained is None else _outside(drive.name, share_beyond(trained, tested.z))
     return DriveFacts(
         name=drive.name,

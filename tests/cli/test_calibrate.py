@@ -162,6 +162,11 @@ def test_only_a_torque_that_was_derived_from_the_motion_cannot_give_resistances(
 
     derived, output = with_torque("derived: from acceleration"), tmp_path / "refused.yaml"
     refused("calibrate", derived, *asked, "-o", output, says=("--fit tires",), output=output)
+    # Asked for nothing in particular, the tyres are fitted and the rest is told.
+    whole = run(derived, *asked[:2], "-o", tmp_path / "tires.yaml")
+    assert whole.exit_code == 0, whole.output
+    assert "note: drag and rolling resistance are not fitted: the torque of d.parquet was derived" in whole.stderr
+    assert "split calibrate --fit tires" in (tmp_path / "tires.yaml").read_text()
     # Pedals with an assumed map are a command: what they give is what the same torque gives.
     found = []
     for kind in ("command", "derived: torque from throttle by a map to 3 N m and brake times 4 N m a unit"):

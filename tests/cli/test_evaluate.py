@@ -16,6 +16,8 @@ from split_cli.learning.labels import compute_labels
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import DriveMetadata, read_drive, write_drive
 from split_cli.prediction import make_predictor
+from split_cli.vehicle.parameters import read_vehicle, write_vehicle
+from split_cli.vehicle.tire import MagicFormula
 from tests.factories import MissingForce, make_drive, write_garage
 
 TERM = MissingForce({"front_grip_loss": 0.15, "front_lateral": 150.0})
@@ -153,6 +155,25 @@ def test_what_was_learned_leads_to_another_drive_and_not_to_an_export(garage):
     following = f"split evaluate ANOTHER_DRIVE --set {garage / 'a.split'}"
     assert outcome.stderr.splitlines()[-1] == f"next: these drives were learned, so take another one, {following}"
     assert "split export" not in outcome.stderr
+
+
+def test_a_vehicle_file_that_spins_leads_to_a_calibration_and_not_to_an_export(garage, tmp_path):
+    """Tyres that carry less than the car asked of them: the verdict was that the correction helps."""
+    car = read_vehicle(garage / "car.yaml")
+    rear = car.rear_tire
+    weak = replace(car, rear_tire=MagicFormula(rear.B / 0.35, rear.C, 0.35 * rear.D))
+    write_vehicle(weak, tmp_path / "weak.yaml")
+    asked = ("--vehicle", tmp_path / "weak.yaml")
+    trained = run("train", garage / "d0.parquet", *asked, "-o", tmp_path / "weak.split", "--trust", "0,0,0")
+    assert trained.exit_code == 0, trained.output
+    outcome = run("evaluate", garage / "d1.parquet", *asked, "--set", tmp_path / "weak.split", "-o", tmp_path / "page")
+    assert outcome.exit_code == 0, outcome.output
+    assert "WARNING: the corrected model (projected) runs away, as in a spin: after 2 s" in outcome.stderr
+    assert "note: d1.parquet: its rear axle carried" in outcome.stderr
+    assert "The model runs away, with the correction and without" in (tmp_path / "page" / "report.html").read_text()
+    following = outcome.stderr.splitlines()[-1]
+    assert following.startswith("next: the vehicle file runs away on this driving") and "split calibrate" in following
+    assert "split export" not in following
 
 
 def test_the_papers_protocol_is_marked_in_sample_and_takes_100_samples(garage):

@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.columns import COLUMNS, meaning
+from split_cli.cli.diagnose import BEGINS_ALONE
 from split_cli.cli.digits import known_to, pair_known, plausible, three_digits
 from split_cli.cli.main import COMMANDS, group
 from split_cli.cli.manual import manual_page
@@ -174,6 +175,11 @@ class TestVerbosity:
         # A quarter in 20 s, after 100 s of something else.
         shown = drawn([(0.0, ("cases",)), (100.0, (0, 4)), (120.0, (1, 4))])
         assert shown == "█████" + "░" * 15 + " 1/4  2 min, about 60 s left  cases"
+
+    def test_a_diagnosis_against_the_nominal_model_foresees_the_long_search(self, drawn):
+        """Eight seconds were said to be left of two minutes, and then nothing."""
+        steps = [(0.0, ("smoothing",)), (0.4, ("whitening",)), (1.0, ("comparing",)), (1.5, ("naming",))]
+        assert drawn(steps, shares=BEGINS_ALONE).endswith("about 2 min left  naming")
 
     def test_steps_of_unequal_length_are_weighed(self, drawn):
         shares = {"reading": 0.0, "fitting": 0.25, "writing": 0.9}

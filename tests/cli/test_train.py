@@ -229,6 +229,21 @@ def test_learning_twice_is_noted_and_changes_nothing(garage, tmp_path):
     assert after.sources[1].insertions == 0
 
 
+def test_a_set_that_learned_next_to_nothing_is_said_to_and_leads_to_another_drive(garage, tmp_path):
+    """Of 2,375 samples one was learned; the set was written without a word, and the next step was to evaluate it."""
+    drive = read_drive(drives_of(garage)[0])
+    short = tmp_path / "short.parquet"
+    write_drive(drive.select(drive["t"] < drive["t"][0] + 2.0), short)
+    outcome = run("train", short, "--vehicle", garage / "car.yaml", "-o", tmp_path / "s.split", "--trust", "full")
+    assert outcome.exit_code == 0, outcome.output
+    assert (
+        f"split: WARNING: the set has learned {read_set(tmp_path / 's.split').sources[0].accepted} labels"
+        in outcome.stderr
+    )
+    following = outcome.stderr.splitlines()[-1]
+    assert following.startswith("next: too little was learned to be judged, so add a drive: split train ANOTHER_DRIVE")
+
+
 def test_a_torque_derived_from_acceleration_is_told(garage, tmp_path):
     drive = read_drive(drives_of(garage)[0])
     kinds = {"T": "derived: torque from measured a_x by the nominal model of test car"}

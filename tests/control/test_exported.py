@@ -60,8 +60,16 @@ def test_a_lap_is_driven_with_an_export(learned, tmp_path):
         f"--start-set {learned[1]} --json"
     )
     assert done.exit_code == 0, done.output
-    (lap,) = json.loads(done.stdout)["laps"]
+    driven = json.loads(done.stdout)
+    (lap,) = driven["laps"]
     assert not lap["ended"] and lap["outside"] == 0.0 and lap["failures"] == 0
+    # A table of `learner none` without points did not say that an export had driven.
+    assert driven["start"] == "export wet (projected)"
+    done = invoke(
+        f"race --vehicle {CAR} --track {ring(tmp_path)} --laps 1 --max-speed 10 --learner none --start-set {learned[0]}"
+    )
+    assert done.exit_code == 0, done.output
+    assert "learner none, begins with set wet.split (bcm)\n" in done.stdout
 
 
 def test_an_export_brings_the_lags_that_training_found(learned, tmp_path):

@@ -86,6 +86,17 @@ def test_the_best_lap_is_compared_with_the_best_nominal_one():
     assert "20.11\u00a0s (split, lap 1), 10.0\u00a0% less than the best nominal one" in page
 
 
+def test_a_race_off_the_track_is_no_success_and_what_drove_it_is_named():
+    """A page of one lap 2 cm off the track was green, and did not say that an export had driven."""
+    driven = race()
+    off = replace(driven, learner="none", start="export car (projected)")
+    off = replace(off, laps=tuple(replace(lap, outside=0.02 + lap.number, outside_at=34.0) for lap in driven.laps))
+    page = race_page([off], off.path)
+    assert 'class="verdict mismatch"' in page and "The best one left it by 0.02\u00a0m." in page
+    assert "with the vehicle file car and export car (projected)" in page and "laps with export car" in page
+    assert 'class="verdict match"' in race_page([driven], driven.path)
+
+
 def test_the_best_clean_lap_of_each_learner_is_shown_at_first():
     """With one learner its first lap beside it; a lap off the track is not clean, however fast."""
     learned = race()

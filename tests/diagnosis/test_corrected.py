@@ -140,6 +140,7 @@ def test_a_vehicle_that_is_worse_is_marked_in_name_head_json_and_report(tmp_path
     # Before the summary that ends with it, and not where the file is better.
     assert 0 < page.index("Do not rely on these names yet") < page.index("Said.")
     assert "Do not rely on these names" not in report_page(accepted)
+    assert not accepted.doubt and rejected.doubt.startswith("Do not rely on these names yet")
     assert "vehicle_rejected.yaml" in page and "vehicle_corrected.yaml" not in page
 
 

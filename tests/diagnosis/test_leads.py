@@ -111,6 +111,27 @@ def test_what_has_no_value_or_either_sign_is_no_lead(monkeypatch):
     assert leads.find_leads(objective, selection, INFLATION) == ()
 
 
+def test_what_a_finding_explains_as_well_within_its_range_is_no_lead():
+    """A yaw inertia six times too large, "explained as well" by the very effect that was named.
+
+    A constant grade is a rolling resistance, as the forces have it.
+    """
+    objective = noisy_objective(driven(73, (CATALOGUE["rolling_resistance"]({"force": 400.0}),), runs=4), 7)
+    (grade,) = (one for one in candidates_of(objective, "road_grade") if not one.variant)
+    (rolling,) = candidates_of(objective, "rolling_resistance")
+    flat = replace(grade, ranges={"angle": replace(grade.ranges["angle"], lower=-0.01, upper=0.01)})
+    base = nothing(objective)
+    ended, found = (
+        fit_parts(objective, [Part(one, {name: value})])
+        for one, name, value in ((flat, "angle", 0.009), (rolling, "force", 100.0))
+    )
+    nameless = Selection(base, found, (base,), ((),), ((),), (False,), first=(ended, found))
+    (lead,) = leads.find_leads(objective, nameless, INFLATION)
+    assert lead.term == "road_grade" and lead.instead == ("rolling_resistance",)
+    named = replace(nameless, named=(True,), beside=lambda fit: ())
+    assert leads.find_leads(objective, named, INFLATION) == ()
+
+
 @pytest.mark.parametrize("angle", [0.05, 0.0])
 def test_what_the_named_effects_may_hide_is_a_lead_with_its_value(angle):
     """A bank beside a steering gain: not part of the explanation, or part of it without a name; and not there."""

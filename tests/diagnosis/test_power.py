@@ -12,15 +12,19 @@ from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.power import (
+    HiddenEffect,
     force_share,
     hidden_effects,
     hidden_in_words,
     is_blind,
+    most_unseen_in_words,
+    much_form_error_in_words,
     no_match_in_words,
     unseen_in_words,
 )
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.parameters import LEFT_OPEN
 from tests.factories import make_drive, one_run, road_car
 
 
@@ -35,13 +39,25 @@ def test_what_a_big_effect_would_make_is_hidden(nominal_objective, nominal_serie
     assert STANDARD.selection.above_noise < more < less
     (hidden,) = hidden_effects(nominal_objective, [grip], 1.01 * less)
     assert (hidden.term, hidden.parameter, hidden.value) == ("friction_scale", "scale", pytest.approx(value))
-    said = no_match_in_words(hidden, 1.01 * less)
+    said = no_match_in_words(hidden, 1.01 * less, road_car())
     assert "friction scale with scale" in said and "halves of the simulation" in said
     assert "friction scale with scale" in hidden_in_words([hidden])
     (hidden,) = hidden_effects(nominal_objective, [grip], 0.99 * less)
     assert hidden.value == pytest.approx(1.0 / value)
     assert hidden_effects(nominal_objective, [grip], 0.99 * more) == ()
     assert hidden_effects(nominal_objective, [grip], 0.0) == () and hidden_in_words(()) == ""
+
+
+def test_nobody_is_advised_to_do_what_the_file_says_was_done():
+    """A calibrated file, or one whose tyres the drives leave open, was advised to be calibrated after every run."""
+    hidden = HiddenEffect("cg_shift", "dx", -0.23, 0.34)
+    fitted = road_car(origins={"rear_tire.B": "calibrated"})
+    tried = road_car(notes={"front_tire.B": LEFT_OPEN})
+    for car, advised in ((road_car(), True), (fitted, False), (tried, False)):
+        for said in (no_match_in_words(hidden, 41.0, car), most_unseen_in_words(car), much_form_error_in_words(car)):
+            assert ("split calibrate" in said) is advised
+            assert "rive " in said  # what is left to do
+    assert "CG shift with dx = -0.23 m would" in no_match_in_words(hidden, 41.0, fitted)
 
 
 def test_an_effect_that_would_have_been_named_does_not_hide(nominal_objective, nominal_series):

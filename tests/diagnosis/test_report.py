@@ -164,6 +164,14 @@ def test_the_headline_names_the_sensor_that_is_late(variant):
     assert said.endswith(" late: 45.2 ms") and said.startswith(words.get(variant, ("Longitudinal", "Lateral")))
 
 
+def test_the_headline_has_the_digits_that_the_interval_supports():
+    """Grip 49.8 % less, between 16 and 67 %: three digits of which the first is doubtful."""
+    vague = {"scale": ParameterEstimate(0.502, 0.17, "1", (0.33, 0.84))}
+    finding = Finding("friction_scale", "front", vague, 0.5, (), "", 9.0)
+    assert finding_headline(finding) == "Grip of the front tyres 50 % less"
+    assert finding.label == "friction_scale (front)"  # in the table of the command
+
+
 def test_the_headline_names_the_axle_that_lost_grip():
     lost = {"scale": ParameterEstimate(0.87, 0.02, "1", (0.83, 0.91))}
     said = [finding_headline(Finding("friction_scale", one, lost, 0.5, (), "", 9.0)) for one in ("", "front", "rear")]

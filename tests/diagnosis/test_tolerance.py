@@ -8,8 +8,9 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection, nothing
+from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict.heldout import fitted_alone
-from split_cli.diagnosis.verdict.tolerance import named_or_tolerated, tolerance_leads
+from split_cli.diagnosis.verdict.tolerance import is_worth_a_word, named_or_tolerated, tolerance_leads
 from tests.diagnosis.recordings import INFLATION, bare_objective, driven, explorer, light_evidence, noisy, prepared
 
 BIAS = 0.015  # [rad/s], a gyroscope's at rest
@@ -18,8 +19,12 @@ BIAS = 0.015  # [rad/s], a gyroscope's at rest
 @pytest.fixture(scope="module")
 def shifted() -> MarginalLikelihood:
     """A drive with a shifted yaw rate, and without yaw and position that would show whose it is."""
+    return shifted_by(BIAS)
+
+
+def shifted_by(bias: float) -> MarginalLikelihood:
     series = prepared(noisy(driven(44), 10))
-    drive = replace(series.drive, columns={**series.drive.columns, "r": series.drive["r"] + BIAS})
+    drive = replace(series.drive, columns={**series.drive.columns, "r": series.drive["r"] + bias})
     columns = {name: values for name, values in drive.columns.items() if name not in ("X", "Y", "yaw")}
     return bare_objective(light_evidence(prepared(replace(drive, columns=columns))))
 
@@ -42,6 +47,20 @@ def test_a_bias_without_a_witness_is_a_lead_with_its_value_and_how_much_is_usual
     assert beside.sentence == f"{lead.sentence} The held-out errors with the identified effects are without it."
     # What is more than usual is no lead of this kind, named or not.
     assert tolerance_leads(shifted, selection_of(shifted, bias, True), INFLATION, taken_off=False) == ()
+
+
+def test_an_error_far_below_what_is_usual_is_no_lead_unless_figures_are_without_it():
+    """A lead of 0.0055 m/s^2 where 0.245 is usual told an engineer nothing, and that it is no fault."""
+    objective = shifted_by(0.4 * BIAS)
+    (bias,) = explorer(objective, "yaw_rate_bias").candidates
+    small = selection_of(objective, bias.without_position(), False)
+    assert tolerance_leads(objective, small, INFLATION, taken_off=False) == ()
+    (lead,) = tolerance_leads(objective, small, INFLATION, taken_off=True)
+    assert lead.parameters["r"].value == pytest.approx(0.4 * BIAS, abs=0.003)
+    # No velocity is other without an accelerometer's error, so nothing is hidden where it is not said.
+    for ax, told in ((0.0055, False), (0.13, True)):
+        read = {name: ParameterEstimate(value, 0.001, "m/s^2", (0.0, 0.2)) for name, value in (("ax", ax), ("ay", 0.0))}
+        assert is_worth_a_word(read, {"ax": 0.245, "ay": 0.245}, "acceleration_bias", taken_off=True) is told
 
 
 def test_what_is_within_tolerance_stands_beside_the_names_and_needs_no_finding(shifted):

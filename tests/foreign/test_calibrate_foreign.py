@@ -44,12 +44,12 @@ def test_tum_tyres_come_out_of_their_training_blocks(tmp_path, datasets):
     ours, library = read_vehicle(output), read_vehicle("tum_sim")
     for axle in ("front_tire", "rear_tire"):
         assert library.origins[f"{axle}.B"] == "calibrated"
-        # The library's D is assumed, and lies beyond what the training blocks bound: the nearest peak
-        # that they allow is taken, and the slope, fitted anew below a lower peak, is steeper, within its error.
+        # The library's D is assumed. The axles' forces come later than their slip angles, and no upper bound of D is
+        # taken from such loops: D stays, and the slope is near that of the file.
         stiffness = [getattr(car, axle).cornering_stiffness for car in (ours, library)]
         np.testing.assert_allclose(*stiffness, rtol=0.25)
     for c in report["curves"]:
-        assert c["peak"][0] <= c["tire"]["D"] <= c["peak"][1] * (1.0 + 1e-9)
+        assert c["peak"][0] <= c["tire"]["D"] and c["peak"][1] is None  # without an upper end
     assert all(c["held_out"]["calibrated"] < 0.5 * c["held_out"]["signal"] for c in report["curves"])
 
 

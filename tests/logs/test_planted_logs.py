@@ -10,6 +10,9 @@ import pytest
 
 from split_cli.errors import LogError
 from split_cli.logs.assembling.assemble import assemble_drive
+from split_cli.logs.assembling.quality import render_quality
+from split_cli.logs.checking.checks import Unjudged
+from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.checking.copies import copied_channels
 from split_cli.logs.checking.measuring_point import or_its_place
 from split_cli.logs.checking.relations import ConsistencyFinding
@@ -299,3 +302,42 @@ def test_a_speed_in_km_h_makes_no_steer_angle_early():
     table = TableRecording("log", Path("log"), {c: RawSignal(c, None, v, None) for c, v in columns.items()})
     found = assemble_drive(table, read_map("canonical"), car).quality.consistency.findings
     assert [(finding.channel, finding.check) for finding in found] == [("vx", "scale"), ("yaw", "scale")]
+
+
+def test_a_car_that_stands_is_said_to_stand_and_no_channel_is_blamed(planted):
+    """Four channels of a standing car were "probably not measured", and the map was to be corrected."""
+    rest = np.random.default_rng(5)
+    still = {name: lambda t, v: np.zeros(len(t)) for name in ("vy", "ax", "ay", "r", "T", "delta")}
+    still["vx"] = lambda t, v: 0.004 + 0.002 * rest.standard_normal(len(t))
+    still["yaw"] = lambda t, v: np.full(len(t), 0.7)
+    still |= {name: lambda t, v: 0.01 * rest.standard_normal(len(t)) for name in ("X", "Y")}
+    found = ingested(planted, **still)
+    finding = only(found)
+    assert (finding.check, finding.channel) == ("standing", "vx") and "the car stands from end to end" in finding.text
+    # Where the path goes on, it is the speed that is not measured.
+    moving = {"vx": lambda t, v: np.zeros(len(t))}
+    assert any("vx never changes" in finding.text for finding in ingested(planted, **moving).findings)
+
+
+def test_checks_that_fail_for_one_reason_share_a_line_and_much_steering_is_explained():
+    reasons = (("a", "hardly any turns"), ("b", "too short"), ("c", "hardly any turns"))
+    slope = SimpleNamespace(slope=1.65)
+    steering = SimpleNamespace(name="delta against the steady steer angle", leaf="delta", slope=slope)
+    report = SimpleNamespace(
+        duration=1.0,
+        recorded=1.0,
+        channels=(),
+        segments=1,
+        clock="",
+        skipped=(),
+        assumed=(),
+        contradictions=(),
+        delays=(),
+        warnings=(),
+        unverified="",
+        consistency=Consistency((), (steering,), tuple(Unjudged(*one) for one in reasons)),
+    )
+    lines = render_quality(report).splitlines()
+    assert "  a; c: hardly any turns" in lines and "  b: too short" in lines
+    said = lines[1]
+    assert "angle 1.65). Understeer asks for more steer angle" in said and said.endswith("3 could not be judged")

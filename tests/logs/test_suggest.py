@@ -255,6 +255,34 @@ def test_a_heading_of_a_car_that_stands_is_a_bearing_to_be_confirmed(planted, tm
     assert (yaw.status, yaw.world) == ("assumed", "ned") and "by custom" in yaw.reason
 
 
+def test_a_clock_that_nobody_states_is_among_what_to_check(planted, tmp_path):
+    """A table without time: the period comes from how v_x changes, and no step asked to look at it."""
+    columns = "vx_mps = vx m/s | vy_mps = vy m/s | yaw_rate_radps = r rad/s | ax_mps2 = ax m/s^2 | ay_mps2 = ay m/s^2"
+    drafted(planted, _style("no time", f"{columns} | delta_rad = delta rad | torque_cmd = T N m"), tmp_path)
+    result = init_project([tmp_path / "log.csv"], tmp_path / "car")
+    assert "# CHECK" in result.draft.time
+    assert any("CHECK in" in step and ": time" in step for step in result.next_steps)
+
+
+def test_a_steering_ratio_is_taken_from_the_log_with_the_least_understeer(planted, tmp_path):
+    """On a log at the limit of grip angle over curvature was 1.8 times wheelbase times ratio, and that was told."""
+    columns = "time = t s | X = X m | Y = Y m | yaw = yaw rad"
+    logs = []
+    for name, factor in (("limit", 1.8), ("gentle", 1.0)):
+        folder = tmp_path / name
+        folder.mkdir()
+        drafted(
+            planted,
+            _style(name, f"{columns} | steering wheel angle [rad] = steering_wheel_angle rad x {factor}"),
+            folder,
+        )
+        logs.append(folder / "log.csv")
+    whole, best = (init_project(given, tmp_path / str(len(given))).draft for given in (logs, logs[1:]))
+    reach = [s.reach for draft in (whole, best) for s in draft.all_of("delta")]
+    assert reach[0] == reach[1] == pytest.approx(15.0 * planted.vehicle.wheelbase, rel=0.35)
+    assert whole.of("delta") is None or str(logs[1]) in next(s.reason for s in whole.all_of("delta"))
+
+
 def test_a_speed_that_the_failing_relation_blames_is_not_called_judged(planted, tmp_path):
     """A wheel's encoder reads 10 % more than the car drives: a_y against v_x r alone tolerates it."""
     style = HeaderStyle(
@@ -271,8 +299,13 @@ def test_a_speed_that_the_failing_relation_blames_is_not_called_judged(planted, 
     )
     right = drafted(planted, style, tmp_path)[0].of("vx")
     assert right.status == "judged"
-    doubted = drafted(Altered(planted, {}, vx=1.1), style, tmp_path)[0].of("vx")
-    assert doubted.status == "assumed" and "v_x against the speed of X, Y 1.1" in doubted.reason
+    # a_y sides with the pose, so the speed goes. X and Y went before, for a --derive that needs them.
+    draft = drafted(Altered(planted, {}, vx=1.1), style, tmp_path)[0]
+    doubted = draft.of("vx")
+    assert doubted.status == "open" and "v_x against the speed of X, Y 1.1" in doubted.reason
+    assert {draft.of(channel).status == "open" for channel in ("X", "Y", "yaw", "r", "ay")} == {False}
+    advised = init_project([tmp_path / "log.csv"], tmp_path / "car").next_steps[-1]
+    assert "--derive velocity-from-pose" in advised and "accelerations" not in advised
     # From some size on the checks name it themselves.
     assert drafted(Altered(planted, {}, vx=1.15), style, tmp_path)[0].of("vx").status == "open"
 

@@ -7,7 +7,8 @@ import pytest
 
 from split_cli.errors import DriveError
 from split_cli.logs.drive import Drive
-from split_cli.scoring.vehicle_match import belonging, share_beyond
+from split_cli.scoring.vehicle_match import belonging, overloaded_axles, share_beyond
+from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.workflows.recordings import vehicle_warnings
@@ -24,6 +25,17 @@ def test_its_own_vehicle_is_not_doubted(drive):
     assert vehicle_warnings([drive], road_car()) == ()
     # The drive turns by the very equations; steady turning leaves out what is transient.
     assert 0.6 < shown.turning < 1.2 and 0.8 < shown.traction < 1.2
+
+
+def test_an_axle_whose_tyres_the_drive_outdoes_is_named(drive):
+    """A rear peak below what the rear axle carried: the model spins there, and every error is that of the spin."""
+    car = road_car()
+    assert overloaded_axles(drive, car) == ()
+    weak = replace(car, rear_tire=MagicFormula(car.rear_tire.B / 0.3, car.rear_tire.C, 0.3 * car.rear_tire.D))
+    (said,) = overloaded_axles(drive, weak)
+    assert said.startswith("its rear axle carried ") and "D of rear_tire is 2040 N" in said
+    changed = weak.with_effects(EffectSpec("friction_scale", {"scale": 3.0}))
+    assert overloaded_axles(drive, changed) == ()
 
 
 def test_a_car_of_another_size_is_refused_and_with_the_flag_warned_of(drive):

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from split_cli.diagnosis.statement.improvement import NORMAL_95, CorrectedVehicle, Improvement
+from split_cli.vehicle.parameters import EffectSpec
 
 _AS_GOOD = 2.5  # standard errors up to which an alternative's fitted variant is as good; another one may be meant
 
@@ -106,6 +107,11 @@ class Finding:
     separated_by: tuple[str, ...] = ()
     exported: bool = True
     combination: Combination | None = None
+
+    @property
+    def label(self) -> str:
+        """``term`` or ``term (variant)``."""
+        return EffectSpec(self.term, variant=self.variant).label
 
     @property
     def placebo(self) -> RivalSummary | None:
@@ -315,6 +321,13 @@ class Diagnosis:
     detectable: tuple[Detectable, ...] = ()
     corrected_vehicle: CorrectedVehicle | None = None
     leads: tuple[Lead, ...] = ()
+
+    @property
+    def doubt(self) -> str:
+        """What speaks against the names, as a sentence that goes before all that speaks for them; empty if nothing."""
+        if self.corrected_vehicle is None or self.corrected_vehicle.accepted or not self.findings:
+            return ""
+        return "Do not rely on these names yet: held-out data are predicted worse with them than with the given file."
 
     @property
     def summary(self) -> str:

@@ -19,6 +19,7 @@ Parameters = Mapping[str, ParameterEstimate]
 _STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))
 _WORTH_A_WORD = 0.2  # of the gap, that neither a finding nor the unexplained part accounts for
 _CLEARLY = 0.02  # share of the gap from which on it is said to go with a variable
+_LASTING = 0.2  # of a squared error, from which on its mean is worth a word
 _STANDS_FOR = 0.4  # of what place explains, from which on another variable is named in its stead
 
 
@@ -129,11 +130,10 @@ def hidden_sentence(
     apart : bool
         Whether it has no name since reality and simulation were driven too differently.
     """
-    reasons = f"It is {size:.2f} times the noise. "
+    wrong = "What the model gets wrong of the findings may be as large."
     if apart:
-        reasons += "Where one was driven and the other was not, what the vehicle file gets wrong may be as large."
-    else:
-        reasons += "What the model gets wrong of the findings may be as large."
+        wrong = "Where one was driven and the other was not, what the vehicle file gets wrong may be as large."
+    reasons = f"Over 0.05 s it changes the motion by {size:.2g} times sensor noise. {wrong}"
     if instead:
         reasons += f" The same would be explained by {' or '.join(instead)}."
     return _stated_as_lead(term, variant, parameters, reasons, vehicle)
@@ -362,7 +362,7 @@ def _offsets(last: HorizonErrors, stage: str, channels: Sequence[int], vehicle: 
     sentences = []
     for k in channels:
         share = last.mean_share(stage, k)
-        if share is None:
+        if share is None or share < _LASTING:
             continue
         (name, unit), mean = _STATES[k], last.mean[stage][k]
         text = f"The mean error of {name} is {number(mean, 2)} {unit}, {percent(share)} of the squared error"

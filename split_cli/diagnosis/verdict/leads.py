@@ -35,7 +35,8 @@ def find_leads(
     -----
     A term whose fit ended at a bound of a real car's range is fitted again with wider bounds: alone, and beside the
     findings. It is a lead if it then explains a large share, if it does not end at the wider bound, and if its interval
-    excludes no effect. Beside findings it must also pass the tests of a further finding, with a stricter level.
+    excludes no effect. Alone it is no lead where a finding explains as much. Beside findings it must also pass the
+    tests of a further finding, with a stricter level.
     """
     chosen, known = selection.chosen, {term.id for term in selection.terms}
     explore = Explorer(objective, tuple(fit.parts[-1].candidate for fit in selection.first), variance_inflation)
@@ -44,6 +45,8 @@ def find_leads(
     for rest, fits in ((selection.base, selection.first), *beside):
         least = min(chosen.cost, rest.cost) if rest is selection.base else rest.cost
         for lead, free in _leads_beside(objective, rest, fits, least, known):
+            if rest is selection.base and known.intersection(lead.instead):
+                continue  # a finding explains it as well, and real cars have its value
             if rest is selection.base or _is_believed(explore, rest, free):
                 found.setdefault(lead.term, lead)
     beyond = sorted(found.values(), key=lambda one: -one.share)

@@ -13,10 +13,15 @@ from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.statement.wording import number, percent, term_name
 from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.parameters import Vehicle
 
-MOST_UNSEEN = (
+_MOST_UNSEEN = (
     "No difference was found, but most effects would not have been named at any size that a real car can have. "
-    "Drive longer and with more excitation, or calibrate the vehicle file (split calibrate)."
+    "Drive longer and with more excitation{calibrate}."
+)
+_MUCH_FORM_ERROR = (
+    "small effects: halves of the simulation differ by far more than noise, and smaller effects are not "
+    "identified; drive both more alike{calibrate}"
 )
 _PREDICTED_SECONDS = 2.0  # the longest horizon of the report [s]
 
@@ -33,7 +38,10 @@ class HiddenEffect:
     @property
     def words(self) -> str:
         """The term with its value."""
-        return f"{term_name(self.term)} with {self.parameter} = {number(self.value, 2)}"
+        unit = CATALOGUE[self.term].parameter_units()[self.parameter]
+        return (
+            f"{term_name(self.term)} with {self.parameter} = {number(self.value, 2)}{'' if unit == '1' else f' {unit}'}"
+        )
 
 
 def hidden_effects(
@@ -75,13 +83,27 @@ def hidden_effects(
     return tuple(sorted(found.values(), key=lambda hidden: -hidden.share))
 
 
-def no_match_in_words(hidden: HiddenEffect, gap_to_noise: float) -> str:
+def or_calibrate(vehicle: Vehicle) -> str:
+    """Return the advice to calibrate the vehicle file as an alternative; empty if that has been done."""
+    return "" if vehicle.has_calibrated_tires else ", or calibrate the vehicle file (split calibrate)"
+
+
+def most_unseen_in_words(vehicle: Vehicle) -> str:
+    """Return that a match would say nothing, as sentences."""
+    return _MOST_UNSEEN.format(calibrate=or_calibrate(vehicle))
+
+
+def much_form_error_in_words(vehicle: Vehicle) -> str:
+    """Return that small effects were not judged because halves of the simulation differ, as an item of a list."""
+    return _MUCH_FORM_ERROR.format(calibrate=or_calibrate(vehicle))
+
+
+def no_match_in_words(hidden: HiddenEffect, gap_to_noise: float, vehicle: Vehicle) -> str:
     """Return why the verdict is not ``match``, as sentences."""
     return (
         f"Simulation and reality differ by {number(gap_to_noise, 2)} times sensor noise over 0.05 s, and so do "
         f"halves of the simulation. A {hidden.words} would not be visible in that, and it changes "
-        f"{percent(hidden.share)} of the forces on these drives. Drive both alike and longer, or calibrate the "
-        "vehicle file (split calibrate)."
+        f"{percent(hidden.share)} of the forces on these drives. Drive both alike and longer{or_calibrate(vehicle)}."
     )
 
 

@@ -3,12 +3,19 @@
 An example is a small bias of the yaw rate in a recording without position, which no witness tells from the car.
 """
 
+from collections.abc import Mapping
+
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.search.term_tests import term_p, term_size
-from split_cli.diagnosis.statement.result import Lead
+from split_cli.diagnosis.statement.result import Lead, ParameterEstimate
 from split_cli.diagnosis.statement.sentences import tolerance_sentence
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
+from split_cli.vehicle.effects import CATALOGUE
+
+#: Of what is usual, from which on a sensor's error is worth a word [1]. Judgement: a bias of 0.015 m/s^2 where
+#: 0.245 m/s^2 is usual is below what an accelerometer resolves.
+_WORTH_A_WORD = 0.5
 
 
 def named_or_tolerated(selection: Selection) -> tuple[bool, ...]:
@@ -22,6 +29,9 @@ def tolerance_leads(
     objective: MarginalLikelihood, selection: Selection, variance_inflation: float, *, taken_off: bool
 ) -> tuple[Lead, ...]:
     """Return sensor errors within tolerance that save beyond chance and are large enough to be seen, as leads.
+
+    Left out are errors below half of what is usual, unless figures of held-out time are without them. Those figures are
+    of velocities, which the error of an accelerometer does not change.
 
     Parameters
     ----------
@@ -42,6 +52,18 @@ def tolerance_leads(
         if term_size(objective, fit, k) > policy.allowances.large:
             own, estimates = part.candidate, parameter_estimates(objective, fit)[k]
             limits = {name: own.ranges[name].tolerance for name in own.away(part.values)}
+            if not is_worth_a_word(estimates, limits, own.term, taken_off=taken_off):
+                continue
             sentence = tolerance_sentence(own.term, own.variant, estimates, limits, taken_off=taken_off)
             out.append(Lead(own.term, own.variant, estimates, {}, saved / whole, (), sentence))
     return tuple(out)
+
+
+def is_worth_a_word(
+    estimates: Mapping[str, ParameterEstimate], limits: Mapping[str, float], term: str, *, taken_off: bool
+) -> bool:
+    """Return whether an error reaches a fair share of what is usual, or changes the velocities that are judged."""
+    if taken_off and any(one.unit != "m/s^2" for one in estimates.values()):
+        return True
+    neutral = CATALOGUE[term].neutral
+    return any(abs(estimates[k].value - neutral[k]) >= _WORTH_A_WORD * limit for k, limit in limits.items())

@@ -127,7 +127,7 @@ def render_quality(report: QualityReport) -> str:
         ("file and map disagree", report.contradictions),
         ("not in this recording", [f"{skipped}, which the map calls optional"] if skipped else []),
         ("delays", [estimate.statement for estimate in report.delays]),
-        ("could not be judged", [f"{u.check}: {u.reason}" for u in report.consistency.unjudged]),
+        ("could not be judged", _unjudged(report.consistency)),
         ("note", [*report.warnings, *([report.unverified] if report.unverified else [])]),
     ):
         if entries:
@@ -136,6 +136,7 @@ def render_quality(report: QualityReport) -> str:
     return "\n".join(lines)
 
 
+_MUCH_STEERING = 1.25  # of the steady steer angle [1], from which on a reader asks why that fits; judgement
 _WORTH_TELLING = 0.03
 """Of the logarithm of a ratio that should be 1, from which on it is shown [1]; judgement."""
 
@@ -150,7 +151,18 @@ def _verdict(found: Consistency) -> list[str]:
     # A scale within the tolerance is no finding, and the reader may know better what his sensors are worth.
     off = [r for r in found.relations if abs(np.log(r.slope.slope)) > _WORTH_TELLING]
     held += f" ({', '.join(f'{r.name} {r.slope.slope:.2f}' for r in off)})" if off else ""
+    if any(r.leaf == "delta" and r.slope.slope > _MUCH_STEERING for r in off):
+        held += ". Understeer asks for more steer angle; so does a steering that turns less than delta says"
+        return [f"the channels fit together: {held}. {len(found.unjudged)} could not be judged"]
     return [f"the channels fit together: {held}, {len(found.unjudged)} could not be judged"]
+
+
+def _unjudged(found: Consistency) -> list[str]:
+    """Return the checks that failed to judge; those with one reason share a line."""
+    reasons: dict[str, list[str]] = {}
+    for one in found.unjudged:
+        reasons.setdefault(one.reason, []).append(one.check)
+    return [f"{'; '.join(checks)}: {reason}" for reason, checks in reasons.items()]
 
 
 def _unit(channel: str) -> str:

@@ -23,7 +23,7 @@ from split_cli.logs.checking.wheel_speeds import AXLES, outer_wheels, without_tu
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, is_derived, yaw_rate_is_of_acceleration
 from split_cli.logs.scratch import set_aside
-from split_cli.signals import REQUIRED_CHANNELS, STANDARD_GRAVITY
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.parameters import Vehicle
 
 LEAST_CORRELATION = 0.8
@@ -112,23 +112,6 @@ class Checks:
             runs = still_runs(self.k.columns[channel], self.k.segments, self.k.period) if known else []
             self._still[channel] = runs
         return self._still[channel]
-
-    def constant_channels(self) -> list[ConsistencyFinding]:
-        found = []
-        for channel in (*REQUIRED_CHANNELS, "ax", "ay", "yaw"):
-            if channel in self.k and channel not in self.derived:
-                values = self.k.columns[channel]
-                if np.nanmax(values) == np.nanmin(values):
-                    found.append(
-                        ConsistencyFinding(
-                            "constant",
-                            channel,
-                            f"{channel} never changes ({values[0]:g}): it is probably not measured. "
-                            "Map a signal that is, or derive it.",
-                            None,
-                        )
-                    )
-        return found
 
     def magnitudes(self) -> list[Plausible]:
         """Return what the 99 % quantiles of channels reach, with what no car reaches."""
@@ -276,7 +259,7 @@ class Checks:
             k.of("L r/vx", lambda: car.wheelbase * k.columns["r"] / np.where(np.abs(vx) > 0, vx, 1.0)),
             car.understeer_gradient * k.turning(),
         )
-        if np.nanstd(np.where(k.moving, parts[0], np.nan)) < 1e-4:
+        if not k.moving.any() or np.nanstd(parts[0][k.moving]) < 1e-4:
             self.unjudged.append(Unjudged(name, "the car hardly turns"))
             return
         delta = k.signal("delta")

@@ -15,6 +15,7 @@ from split_cli.logs.checking.measuring_point import or_its_place, place_of_later
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
 from split_cli.logs.checking.relations import ConsistencyFinding, Relation
 from split_cli.logs.checking.torque_sides import torque_sides
+from split_cli.logs.checking.unmoved import unmoved
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
 from split_cli.vehicle.parameters import Vehicle
@@ -61,7 +62,7 @@ def check_consistency(
     and the finer checks (bias on straights, place of v_y, direction of yaw) are made on that.
     """
     checks = Checks(drive.columns, drive, vehicle, kinds, certain, slowest)
-    constant = checks.constant_channels()
+    constant = unmoved(checks)
     spoilt = [swap_finding(checks)] if look_swapped(checks) else along_the_world(checks)
     if not spoilt:
         checks.measure_relations()

@@ -216,6 +216,11 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     """Say what supports or contradicts a suggestion."""
     faults = ("scale", "sign", "range", "constant", "swapped", "contradiction", "course")
     wrong = [f for f in verdict.findings if f.channel == s.channel and f.check in faults]
+    speed = _speed_at_fault(chosen, verdict)
+    if speed is not None and s.channel == "vx":
+        return s.left_open(speed)
+    if speed is not None and s.channel in ("X", "Y"):
+        wrong = [f for f in wrong if f.check != "scale"]
     if wrong:
         return s.left_open(wrong[0].text)
     undecided = [f for f in verdict.findings if f.check in ("sign", "hand") and f.channel in ("r", "yaw", "X")]
@@ -265,6 +270,20 @@ def _better_blamed(channel: str, holding: Sequence[Relation], verdict: Consisten
         if all(after > 0.0 and abs(np.log(after)) < abs(np.log(before)) for before, after in left):
             return failed
     return None
+
+
+def _speed_at_fault(chosen: Mapping[str, Suggestion], verdict: Consistency) -> str | None:
+    """Return why v_x is left out for the pose, where what else was recorded sides with the pose; None where not."""
+    if not {"vx", "X", "Y", "yaw"} <= chosen.keys():
+        return None
+    failed = _better_blamed("vx", [r for r in verdict.relations if r.holds and "vx" in r.powers], verdict)
+    if failed is None or failed.leaf not in ("X", "hand") or set(failed.powers) - {"vx", "X", "hand"}:
+        return None
+    beside = next(r for r in verdict.relations if r.holds and "vx" in r.powers)
+    return (
+        f"{failed.name} {failed.slope.slope:.3g}, and {beside.name} {beside.slope.slope:.3g} fits better with that "
+        "factor in vx: its scale is wrong, or the wheels slip. `--derive velocity-from-pose` takes v_x from X, Y, yaw"
+    )
 
 
 def _assumed(s: Suggestion, unit: str) -> str:

@@ -51,6 +51,8 @@ class Suggestion:
     # Whether the unit is that of ROS messages, which the recording itself does not state.
     by_convention: bool = False
     foreign_unit: str = ""  # what the file states where a unit stands, and is none that is known
+    # Of a steering signal, |angle| over curvature [m] as recorded: wheelbase times ratio, and more by understeer.
+    reach: float | None = None
     along_the_fix: bool = False  # of X and Y: whether a satellite fix beside them shows that they are east and north
 
     @property

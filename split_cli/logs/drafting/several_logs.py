@@ -23,13 +23,14 @@ def agreed_draft(drafts: Mapping[str, Draft], recorded: Mapping[str, Collection[
     Notes
     -----
     A log in which the car hardly moves judges little. So the draft of which most is judged is taken whole. What it
-    leaves open is taken from the others. A channel that two logs judge in different ways is marked.
+    leaves open is taken from the others. A channel that two logs judge in different ways is marked. Of a steering that
+    all leave open, that log is believed in which understeer adds least.
     """
     best = max(drafts, key=lambda name: sum(_WEIGHT[s.status] for s in drafts[name].suggestions))
     draft, others = drafts[best], {name: other for name, other in drafts.items() if name != best}
     mapped = {s.channel for s in draft.suggestions if s.status != "open"}
     added = _of_others(draft, others, mapped)
-    kept = [s for s in draft.suggestions if s.channel not in added]
+    kept = [_of_least_understeer(s, others) for s in draft.suggestions if s.channel not in added]
     whole = [_compared(s, best, others) if s.channel in mapped else s for s in (*kept, *added.values())]
     named = [(f"{s.channel} ({source})", source) for s in whole if s.status != "open" for source in s.sources]
     notes = []
@@ -52,6 +53,22 @@ def _of_others(draft: Draft, others: Mapping[str, Draft], mapped: Collection[str
             if is_new and not taken & set(s.sources):
                 added[s.channel] = replace(s, reason=f"{s.reason}; by {name}")
     return added
+
+
+def _of_least_understeer(s: Suggestion, others: Mapping[str, Draft]) -> Suggestion:
+    """Return an open steering signal with what that log says of it whose angle over curvature is the smallest.
+
+    Understeer adds to a wheelbase times a ratio: on a log at the limit of grip it made 30 of a ratio of 16.
+    """
+    if s.status != "open":
+        return s
+    same = [(name, one) for name, other in others.items() for one in other.all_of(s.channel)]
+    open_there = [(one.reach, name, one) for name, one in same if one.status == "open" and one.sources == s.sources]
+    known = [(reach, name, one) for reach, name, one in open_there if reach is not None]
+    if not known:
+        return s
+    least, name, one = min(known, key=lambda each: each[:2])
+    return s if s.reach is not None and s.reach <= least else replace(one, reason=f"{one.reason}; by {name}")
 
 
 def _is_of(source: str, recorded: str) -> bool:

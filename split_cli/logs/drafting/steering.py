@@ -130,7 +130,9 @@ def read_steering(
             found = chosen["steering_wheel_angle"]
             if reach is not None and found.unit != wheel.unit and wheel.unit == "deg":
                 reach *= np.pi / 180.0
-            by_ratio = Suggestion("delta", wheel.sources, status="open", reason=_ratio(reach, wheel, vehicle))
+            size = None if reach is None else abs(reach)
+            reason = _ratio(reach, wheel, vehicle)
+            by_ratio = Suggestion("delta", wheel.sources, status="open", reason=reason, reach=size)
     if "delta" in chosen:
         drafted.append(_road_wheel(chosen["delta"], columns, vehicle))
     if by_ratio is not None and not any(s.channel == "delta" and s.status != "open" for s in drafted):
@@ -233,6 +235,7 @@ def _road_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], vehicle: Vehic
     turned = {"scale": -1.0} if reach < 0 else {}
     hand = "; its sign is turned" if reach < 0 else ""
     size = abs(reach)
+    s = replace(s, reach=size)
     if unit is None:
         return _without_unit(s, size, float(np.nanquantile(np.abs(values), 0.999)), turned, hand, columns)
     if size <= _LONGEST_WHEELBASE:

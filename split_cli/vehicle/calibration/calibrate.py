@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from split_cli.vehicle.calibration.turning import (
     estimate_yaw_inertia,
     with_estimates,
 )
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import LEFT_OPEN, Vehicle
 from split_cli.vehicle.tire import MagicFormula, lateral_force
 
 _OPEN_SLOPE = 0.25
@@ -34,7 +35,8 @@ class CalibrationSettings:
     max_longitudinal_acceleration: float = 2.0
     max_lateral_acceleration: float = 2.0  # for the resistances, samples beyond it are left out [m/s^2]
     smoothing: float | None = None  # standard deviation of the kernel [s]; None as `motion_samples` has it
-    offsets: bool = False  # whether constant offsets of the slip angles are fitted
+    # Whether constant offsets of the slip angles are fitted; if not, those that are beyond chance are all the same.
+    offsets: bool = False
     # draws, seed: how often blocks of time are resampled, and the seed.
     draws: int = 200
     seed: int = 0
@@ -63,11 +65,12 @@ class Calibration:
     force_front: np.ndarray
     slip_rear: np.ndarray
     force_rear: np.ndarray
+    notes: tuple[str, ...] = ()  # what was left out, in sentences
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """All that the reader must know, in sentences."""
-        found = [remark for curve in self.curves for remark in (*curve.remarks, *curve.slip_remarks)]
+        found = [*self.notes, *(remark for curve in self.curves for remark in (*curve.remarks, *curve.slip_remarks))]
         found += self.resistance.remarks if self.resistance else ()
         for estimate in self.estimates:
             if not estimate.settled:
@@ -97,7 +100,7 @@ def calibrate_vehicle(
     samples = samples.where(samples.vx >= start.minimum_speed)
     if not len(samples):
         what = f"the drives never reach {start.minimum_speed:.2g} m/s, the minimum speed"
-        raise VehicleError(what, advice="Add faster drives, or lower `minimum_speed` in the vehicle file.")
+        raise VehicleError(what, advice="Add faster drives. It follows from the wheelbase.")
     vehicle = start
     gentle = _gentle(samples, settings)
     curves: tuple[ForceCurve, ...] = ()
@@ -150,22 +153,25 @@ def _fit_curves(
     forces, everywhere = axle_lateral_forces(gentle, vehicle), axle_lateral_forces(samples, vehicle)
     curves, follows = [], []
     for (axle, slip, noise, load), force, force_anywhere in zip(axles, forces, everywhere, strict=True):
-        tire = getattr(start, f"{axle}_tire")
-        curve = fit_force_curve(
+        fit = partial(
+            fit_force_curve,
             axle,
             slip,
             force,
             gentle.block,
-            tire,
+            getattr(start, f"{axle}_tire"),
             given_peak=_given_peak(start, axle, load),
             static_load=load,
             largest_force=float(np.quantile(np.abs(force_anywhere), 0.995)),
             slip_noise=noise,
             alpha_max=settings.alpha_max,
-            fit_offset=settings.offsets,
             draws=draws,
             seed=settings.seed,
         )
+        curve = fit(fit_offset=settings.offsets)
+        if curve.slip_remarks and not settings.offsets:
+            # An offset bends the curve. It is no property of the tyre, so the fit is not left to bear it.
+            curve = fit(fit_offset=True)
         along = float(np.corrcoef(slip, force)[0, 1])
         curves.append(curve)
         follows.append(along)
@@ -191,7 +197,11 @@ def _kept_where_open(
                     "place of v_y, the place of the CG, and the signs of v_y, r and delta)"
                 )
             reasons.append(f"the {curve.axle} slope is {spread}{why}")
-        elif curve.held_out.calibrated >= min(curve.held_out.start, curve.held_out.signal):
+        elif curve.held_out.calibrated >= curve.held_out.signal or (
+            # Tyres that cannot give what the axle gave are no better, whatever their error.
+            curve.held_out.calibrated >= curve.held_out.start
+            and curve.peak[0] <= getattr(start, f"{curve.axle}_tire").D
+        ):
             reasons.append(
                 f"on held-out blocks the {curve.axle} curve is no better than the start file's, or than no force"
             )
@@ -263,7 +273,10 @@ def _marked(
         if note:
             notes[key] = note
 
-    for curve in (curve for curve in curves if curve.determined):
+    for curve in curves:
+        if not curve.determined:
+            notes[f"{curve.axle}_tire.B"] = LEFT_OPEN
+            continue
         for name in ("B", "C", "D"):
             key = f"{curve.axle}_tire.{name}"
             if name in curve.determined:

@@ -16,6 +16,8 @@ _FOLDS = 5
 _PROFILE_POINTS = 25
 # A 95 % interval of the likelihood ratio with one parameter: half the chi-squared quantile.
 _HALF_CHI2 = 1.9207
+#: Of the largest force, from which on a curve that stays below it is not the axle's [1]. Judgement.
+_SHORT_OF = 0.95
 _MINIMUM_SAMPLES = 60
 _MINIMUM_BLOCKS = 6
 
@@ -189,12 +191,17 @@ def fit_force_curve(
     within blocks, lies within 15 % of the estimate, and the forces reach 85 % of it: a peak far above all forces
     would be the formula's word, not the tyre's. If not, D is given; C is settled when its standard error at
     that D is below 0.1, otherwise given too where that fits; the slope B C D is always fitted.
+
+    No upper end of D is taken from a curve that bends below forces that the axle itself gave: forces that come later
+    than their slip angles make loops, whose middle is flatter than the tyre.
     """
     problem = _problem_of(axle, slip_angle, force, block, static_load, largest_force, fit_offset)
     best = _best_fit(problem, start, given_peak)
     problem = replace(problem, noise_ratio=_noise_ratio(problem, best, problem.noise_ratio + slip_noise))
     best = problem.fit(best.parameters)
     profile = _profile(problem, best)
+    if _bends_too_early(problem, best):
+        profile = replace(profile, interval=(profile.interval[0], float("inf")))
     chosen, determined, remarks = _settle(problem, best, profile, start, given_peak, axle)
     offset = float(chosen.parameters[3])
     grid = np.linspace(0.0, alpha_max, 181)
@@ -335,6 +342,18 @@ def _profile(problem: _Problem, best: LeastSquaresFit) -> _Profile:
     return _Profile(interval, tuple(alike), threshold)
 
 
+def _bends_too_early(problem: _Problem, best: LeastSquaresFit) -> bool:
+    """Return whether the best curve gives less at the largest slip angles than the axle itself gave.
+
+    Its D is then held up by the largest force alone. Forces that come later than their slip angles make loops, whose
+    middle is flatter than the tyre, so the bend of the curve is no sign of the peak.
+    """
+    if best.parameters[1] > problem.lower[1] + 1e-3:
+        return False
+    covered = float(np.quantile(np.abs(problem.slip + best.parameters[3]), 0.99))
+    return float(_curve(best.parameters, np.array([covered]))[0]) < _SHORT_OF * float(np.exp(problem.lower[1]))
+
+
 def _with_peak(p: np.ndarray, log_peak: float) -> np.ndarray:
     moved = p.copy()
     moved[1] = log_peak
@@ -417,14 +436,13 @@ def _held_out(problem: _Problem, chosen: LeastSquaresFit, start: MagicFormula) -
 
 
 def _offset_remark(problem: _Problem, chosen: LeastSquaresFit, axle: str, fitted: bool) -> list[str]:
-    if fitted:
+    """Return by how much slip angles are off, if that is beyond chance and large enough to bend the curve."""
+    found = chosen if fitted else problem.fit(chosen.parameters, free=np.append(chosen.free, 3), scale=chosen.scale)
+    offset = float(found.parameters[3])
+    error = float(np.sqrt(found.covariance(problem.block)[-1, -1]))
+    if abs(offset) <= 3.0 * error or abs(offset) <= 0.002:
         return []
-    with_offset = problem.fit(chosen.parameters, free=np.append(chosen.free, 3), scale=chosen.scale)
-    offset = float(with_offset.parameters[3])
-    error = float(np.sqrt(with_offset.covariance(problem.block)[-1, -1]))
-    if abs(offset) > 3.0 * error and abs(offset) > 0.002:
-        return [
-            f"{axle}: slip angles seem off by {offset:+.4f} +- {2 * error:.4f} rad (lateral velocity or steer "
-            "offset); correct it in the signal map or calibrate with --offsets"
-        ]
-    return []
+    return [
+        f"{axle}: slip angles seem off by {-offset:+.4f} +- {2 * error:.4f} rad (lateral velocity or steer offset). "
+        "The fit takes that off; correct it in the signal map"
+    ]

@@ -39,7 +39,7 @@ class AeroDrag(Term):
     """
 
     id = "aero_drag"
-    titles: ClassVar = {"": "More or less drag"}
+    titles: ClassVar = {"": "Added drag"}
     units: ClassVar = {"drag": "N/(m/s)^2"}
     neutral: ClassVar = {"drag": 0.0}
     family = "along"
@@ -79,7 +79,7 @@ class RollingResistance(Term):
 
     order = 2  # before combined slip
     id = "rolling_resistance"
-    titles: ClassVar = {"": "Rolling resistance off"}
+    titles: ClassVar = {"": "Added rolling resistance"}
     units: ClassVar = {"force": "N"}
     neutral: ClassVar = {"force": 0.0}
     family = "along"

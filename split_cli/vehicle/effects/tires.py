@@ -287,7 +287,7 @@ class LoadTransfer(Term):
     """
 
     id = "load_transfer"
-    titles: ClassVar = {"": "Load moves between the axles"}
+    titles: ClassVar = {"": "Load transfer, as of a centre of gravity at a height"}
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"cg_height": "m"}

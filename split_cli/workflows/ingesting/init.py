@@ -114,7 +114,8 @@ class InitResult:
             yield f"The log {self.draft.rows.partition(': the log ')[2]}: `rows:` in {self.map_path} chooses one."
         if self.draft.cars:
             yield f"The log {self.draft.cars}. For another car, write its names in {self.map_path}."
-        if check := [s.channel for s in self.draft.suggestions if s.status == "assumed"]:
+        check = [s.channel for s in self.draft.suggestions if s.status == "assumed"]
+        if check := ["time", *check] if "# CHECK" in self.draft.time else check:
             yield f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}."
         if self.draft.time.startswith("# time: {period"):
             yield f"State the time in {self.map_path}, or add --row-rate HZ below: no column of the log counts it."

@@ -56,7 +56,7 @@ from split_cli.workflows.racing.entry import (
 from split_cli.workflows.racing.first_lap import header_with_kernel, header_without_kernel, make_learner, with_past_term
 from split_cli.workflows.racing.margin import relative_model_error
 from split_cli.workflows.racing.result import Lap, RaceResult
-from split_cli.workflows.racing.settings import RaceSettings
+from split_cli.workflows.racing.settings import RaceSettings, predictor_for
 from split_cli.workflows.racing.tally import Tally
 
 RUN_UP_SHARE, LONGEST_RUN_UP = 0.3, 200.0
@@ -458,6 +458,15 @@ class Race:
         else:
             write_drive(drive, output)
 
+    def _start_in_words(self) -> str:
+        """Return the trained set or export that the race starts with; empty for the nominal model."""
+        if self.exported is not None:
+            return f"export {self.exported.name} ({self.exported.predictor})"
+        if self.start_set is None:
+            return ""
+        name = FilePath(str(self.settings.start_set)).name
+        return f"set {name} ({predictor_for(self.settings.predictor, self.start_set.features)})"
+
     def result(self, output: str | FilePath | None, others: Sequence[RaceResult] = ()) -> RaceResult:
         """Return the laps with a verdict in words, see `whether_learning_helped` for `others`."""
         known = any(advice_after_lap_0(other.laps, self.vehicle) for other in others)
@@ -476,4 +485,5 @@ class Race:
             path=self.path,
             grips=tuple(self.grips),
             verdict=whether_learning_helped(self.laps, self.settings, others),
+            start=self._start_in_words(),
         )

@@ -43,6 +43,7 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
     charts = race_charts(races)
     package = files("split_cli.workflows.racing")
     body = Template(package.joinpath("race.html").read_text("utf-8")).substitute(
+        kind="match" if any(lap.clean for race in races for lap in race.laps) else "mismatch",
         headline=heading(_headline(races)),
         caution=_caution(races),
         table=_table(races),
@@ -95,7 +96,7 @@ def race_charts(races: Sequence[RaceResult]) -> list[Chart]:
 
 
 def _called(race: RaceResult) -> str:
-    return "nominal" if race.learner == "none" else race.learner
+    return (race.start or "nominal") if race.learner == "none" else race.learner
 
 
 def _names(races: Sequence[RaceResult]) -> list[tuple[str, Lap]]:
@@ -137,7 +138,9 @@ def _roles(races: Sequence[RaceResult]) -> list[str]:
 def _headline(races: Sequence[RaceResult]) -> str:
     clean = [(lap.time, name) for name, lap, _ in _laps(races) if lap.clean]
     if not clean:
-        return "No lap was finished within the track."
+        outside = [lap.outside for race in races for lap in race.laps if not lap.ended and lap.outside > 0.0]
+        least = f" The best one left it by {max(min(outside), 0.01):.2f} m." if outside else ""
+        return f"No lap was finished within the track.{least}"
     # Lap 0 is nominal in every race, but it is driven carefully: only a race without a learner is a rival.
     nominal = [
         lap.time
@@ -176,7 +179,8 @@ def _notes(races: Sequence[RaceResult]) -> str:
 
 
 def _about(race: RaceResult) -> str:
-    return f"{race.track}, {race.length:.0f} m a lap, {race.car} with the vehicle file {race.vehicle}"
+    begins = f" and {race.start}" if race.start else ""
+    return f"{race.track}, {race.length:.0f} m a lap, {race.car} with the vehicle file {race.vehicle}{begins}"
 
 
 def _table(races: Sequence[RaceResult]) -> str:

@@ -69,6 +69,7 @@ class RaceResult:
     # Peak of front and rear over the vehicle file's [1], as learned before lap 1 and after each lap since.
     grips: tuple[tuple[float, ...], ...] = ()
     verdict: str = ""  # whether learning helped, in words; empty where nobody learned
+    start: str = ""  # the trained set or export that the race starts with, in words; empty for the nominal model
 
     def summary(self) -> RaceResult:
         """Return the result without its traces and its track."""

@@ -22,7 +22,7 @@ from split_cli.scoring.application import Correction
 from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, predictor_names
 from split_cli.scoring.report import IntervalShares
 from split_cli.scoring.run import EvaluationRun, Trace
-from split_cli.scoring.verdict import VISIBLE, Comparison, does_harm
+from split_cli.scoring.verdict import VISIBLE, Comparison, does_harm, nominal_runs_away, runs_away
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.drive_charts import gathered
 from split_cli.workflows.evaluation_notes import derived_states
@@ -124,6 +124,14 @@ def _headline(comparisons: Sequence[Comparison]) -> tuple[str, str]:
     if worse:
         states = " and ".join(_STATES[state][0].lower() for state in worse)
         return "mismatch", f"The learned correction makes {states} worse."
+    away = runs_away(judged)
+    if away:
+        whose = (
+            "The model runs away, with the correction and without" if nominal_runs_away(away) else "The model runs away"
+        )
+        worst = max(away, key=lambda c: c.to_held[0])
+        state = _STATES[worst.state][0].lower()
+        return "mismatch", f"{whose}: {state} errs {worst.to_held[0]:.2g} times as much as velocities held."
     better = {c.state: c for c in judged if c.is_better}
     if not judged:
         return "undecided", "Too little held-out time to tell whether the correction helps."

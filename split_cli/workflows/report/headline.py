@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
-from split_cli.diagnosis.statement.wording import number
+from split_cli.diagnosis.statement.wording import amount, number
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.workflows.report.words import term_title
 
@@ -40,8 +40,9 @@ def finding_headline(finding: Finding) -> str:
         words = kind.factors.get(f"{finding.variant}/{name}", kind.factors.get(name))
         if words:
             part, above, below = words
-            share = 100.0 * (estimate.value - 1.0)
-            factors.append(f"{part} {_significant(abs(share))} % {above if share > 0.0 else below}")
+            # With the digits of the sentence below, which its interval supports.
+            size, _, _ = amount(estimate, neutral=1.0, share=True, more=above, less=below).partition(" (95 %")
+            factors.append(f"{part} {size}")
         else:
             sizes.append(_size(estimate))
     if factors:
@@ -58,7 +59,7 @@ def _differs(estimate: ParameterEstimate, neutral: float) -> bool:
 def _size(estimate: ParameterEstimate) -> str:
     unit, below = _THOUSANDTHS.get(estimate.unit, ("", 0.0))
     value, unit = (1e3 * estimate.value, unit) if abs(estimate.value) < below else (estimate.value, estimate.unit)
-    return f"{_significant(value)} {'' if unit == '1' else unit}".strip().replace("-", "−")
+    return f"{_significant(value)} {'' if unit == '1' else unit}".strip().replace("-", "−").replace("^2", "²")
 
 
 def _significant(value: float) -> str:

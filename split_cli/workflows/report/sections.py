@@ -119,13 +119,8 @@ def _chips(diagnosis: Diagnosis) -> str:
 
 def _doubt(diagnosis: Diagnosis) -> str:
     """Return what speaks against the names of the headline, before all that speaks for them."""
-    corrected = diagnosis.corrected_vehicle
-    if corrected is None or corrected.accepted or not diagnosis.findings:
-        return ""
-    return (
-        '<p class="lead"><strong>Do not rely on these names yet: held-out data are predicted worse with them than '
-        "with the given file.</strong></p>"
-    )
+    doubt = diagnosis.doubt
+    return f'<p class="lead"><strong>{escape(doubt)}</strong></p>' if doubt else ""
 
 
 def _lead(diagnosis: Diagnosis) -> Sequence[str]:

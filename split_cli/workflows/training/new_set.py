@@ -165,7 +165,7 @@ def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
         counts.append(int(np.count_nonzero(accepted)))
     total = sum(counts)
     if total < FEWEST_TO_FIT:
-        drives.note(f"{total} valid labels are too few to fit hyperparameters to; the defaults are kept")
+        drives.note("too few valid labels to fit hyperparameters to; the defaults are kept")
         return None
     drives.progress(f"fitting hyperparameters to {total} labels")
     # Only what the fit looks at: all labels of a long drive have no room.

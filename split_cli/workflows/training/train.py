@@ -12,7 +12,7 @@ from split_cli.errors import SetError, SplitError
 from split_cli.files import exclusive_access, refuse_overwriting_inputs
 from split_cli.learning.cells import extend, warm_up
 from split_cli.learning.features import parse_features
-from split_cli.learning.hyperparameters import KernelFit
+from split_cli.learning.hyperparameters import FEWEST_TO_FIT, KernelFit
 from split_cli.learning.iol import LEARNER, extend_dictionary
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import DEFAULT_HORIZON
@@ -205,9 +205,20 @@ def _train_set(
     offered = sum(row.samples for row in table)
     total = _row(trained, trained.sources, "total", seconds, offered)
     horizons = tuple(source.horizon for source in trained.sources[-len(table) :])
-    notes = (*drives.notes, *limits_of(trained), *notes_on_rejections(total, trained.region))
+    notes = (*_too_few(total), *drives.notes, *limits_of(trained), *notes_on_rejections(total, trained.region))
     return TrainResult(
         str(output), tuple(table), total, horizons, trained.kernel, fit, trained.trust, notes, tuple(laps)
+    )
+
+
+def _too_few(total: TrainRow) -> tuple[str, ...]:
+    """Return a warning where a set has learned too little to correct anything."""
+    if total.accepted >= FEWEST_TO_FIT:
+        return ()
+    labels = "1 label" if total.accepted == 1 else f"{total.accepted} labels"
+    return (
+        f"WARNING: the set has learned {labels}, and at least {FEWEST_TO_FIT} are needed: it corrects next to nothing, "
+        "and `split export` stops at it. Append drives whose samples lie in the valid region",
     )
 
 
