@@ -15,7 +15,7 @@ from split_cli.vehicle.effects import CATALOGUE
 
 #: Of what is usual, from which on a sensor's error is worth a word [1]. Judgement: a bias of 0.015 m/s^2 where
 #: 0.245 m/s^2 is usual is below what an accelerometer resolves.
-_WORTH_A_WORD = 0.5
+_WORTH_A_WORD = 0.1
 
 
 def named_or_tolerated(selection: Selection) -> tuple[bool, ...]:
@@ -30,7 +30,7 @@ def tolerance_leads(
 ) -> tuple[Lead, ...]:
     """Return sensor errors within tolerance that save beyond chance and are large enough to be seen, as leads.
 
-    Left out are errors below half of what is usual, unless figures of held-out time are without them. Those figures are
+    Left out are errors below a tenth of what is usual, unless figures of held-out time are without them. Those figures are
     of velocities, which the error of an accelerometer does not change.
 
     Parameters
