@@ -30,8 +30,8 @@ def tolerance_leads(
 ) -> tuple[Lead, ...]:
     """Return sensor errors within tolerance that save beyond chance and are large enough to be seen, as leads.
 
-    Left out are errors below a tenth of what is usual, unless figures of held-out time are without them. Those figures are
-    of velocities, which the error of an accelerometer does not change.
+    Left out are errors below a tenth of what is usual, unless figures of held-out time are without them. Those figures
+    are of velocities, which the error of an accelerometer does not change.
 
     Parameters
     ----------
