@@ -66,8 +66,8 @@ def test_the_standard_error_is_that_of_replicates(replicated):
 
 def test_the_truth_is_in_the_mean(replicated):
     values = replicated[:, 0]
-    # Smoothing and integration may take a thousandth of the inertia, a hundredth of what it has more.
-    assert np.mean(values) == pytest.approx(TRUTH["scale"], abs=1e-3)
+    # Integration may take some thousandths of the inertia, a fiftieth of what it has more.
+    assert np.mean(values) == pytest.approx(TRUTH["scale"], abs=2e-3)
 
 
 def test_four_times_the_time_halves_the_error():

@@ -85,7 +85,7 @@ BESIDE_THEIR_ALGORITHM = {
     "recording/scales.py": {"_BLOCKS"},
     "recording/excitation.py": {"_STEP_SECONDS", "_OUTER_SHARE"},
     "recording/segment_means.py": {"SMOOTHED_SECONDS"},
-    "recording/predicted_states.py": {"_SLACK"},
+    "recording/predicted_states.py": {"_SLACK", "_NEGLIGIBLE_NOISE"},
     "recording/series.py": {"_WORTHLESS", "REMEMBERED", "VISIBLE"},
     "recording/straights.py": {"_BLOCK_SECONDS", "_FEWEST_BLOCKS"},
     "remainder/flexible.py": {"_HARMONICS", "_KNOTS"},

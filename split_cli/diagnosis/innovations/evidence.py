@@ -140,7 +140,7 @@ def gather_evidence(
     least_disturbance : ndarray, shape (3,), optional
         Lower bound, for example of the simulated recordings.
     """
-    series = predicted_by_model(series, vehicle)
+    series = predicted_by_model(series, vehicle, _samples_of_a_row(series), discrepancy.shared_terms)
     rows = series.predicted.T
     jacobian = extended_model(vehicle).velocity_jacobian(
         *rows, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
@@ -252,12 +252,16 @@ def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.linalg.solve(precision, columns.T @ target)
 
 
+def _samples_of_a_row(series: Series) -> int:
+    return max(1, int(round(ROW_SECONDS / series.period)))
+
+
 def _row_groups(series: Series) -> tuple[np.ndarray, np.ndarray]:
     """Return the row number of each transition, (N - 1,), and the middle sample of each row, (G,).
 
     The transitions of a rest at the end of a segment have the number -1.
     """
-    size = max(1, int(round(ROW_SECONDS / series.period)))
+    size = _samples_of_a_row(series)
     group = np.full(len(series) - 1, -1, dtype=np.int64)
     at, number = [], 0
     for begin, end in series.recording.segments:

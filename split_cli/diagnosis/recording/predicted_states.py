@@ -3,6 +3,9 @@
 A model is evaluated at states that earlier samples predict. A smoothed state contains the noise of later samples, by
 which the model is judged. A flexible correction would then follow that noise and learn too little damping. For a model
 that is evaluated in the middle of a sample this is the drift term of Onsager and Machlup (1953).
+
+Whitened innovations are summed over rows of several samples. So a state within a row may not contain the noise of the
+row's other samples either, by which the row is judged.
 """
 
 import numpy as np
@@ -13,6 +16,10 @@ from split_cli.vehicle.effects import Recording
 _WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
 #: Degrees of polynomials through earlier samples that may predict the next one [1].
 _DEGREES = (1, 2, 3)
+#: Error of a prediction over the noise of a sample, beyond which smoothed states are used [1]: noise is then small
+#: beside the motion. Judgement: a late steering makes predictions err by sqrt(2) times the noise, and smoothed states
+#: then give too much yaw inertia (docs/decisions/0041-noise-within-rows.md).
+_NEGLIGIBLE_NOISE = 3.0
 #: A window is too long if what it removes has a deviation above the noise by this factor [1].
 _SLACK = 1.04
 
@@ -45,7 +52,7 @@ def smoothed_by_cubics(values: np.ndarray, sigma: float, recording: Recording) -
 
 
 def predicted_channels(
-    measured: np.ndarray, smooth: np.ndarray, noise: np.ndarray, recording: Recording
+    measured: np.ndarray, smooth: np.ndarray, noise: np.ndarray, recording: Recording, row: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return `predicted_from_the_past` of every channel, shape (N, 3), and its rms prediction errors, shape (3,).
 
@@ -55,31 +62,42 @@ def predicted_channels(
         v_x, v_y [m/s] and r [rad/s] as recorded, and smoothed.
     noise : ndarray, shape (3,)
         Standard deviation of a sample of each.
+    row : int
+        Samples of a row.
     """
-    found = [predicted_from_the_past(*columns, recording) for columns in zip(measured.T, smooth.T, noise, strict=True)]
+    columns = zip(measured.T, smooth.T, noise, strict=True)
+    found = [predicted_from_the_past(*column, recording, row) for column in columns]
     return np.stack([one for one, _ in found], axis=1), np.array([error for _, error in found])
 
 
 def predicted_from_the_past(
-    values: np.ndarray, smooth: np.ndarray, sigma: float, recording: Recording
+    values: np.ndarray, smooth: np.ndarray, sigma: float, recording: Recording, row: int = 1
 ) -> tuple[np.ndarray, float]:
-    """Return each sample, shape (N,), as a polynomial through earlier samples predicts it, and the rms error.
+    """Return each sample, shape (N,), as a polynomial through samples before its row predicts it, and the rms error.
 
     Window and degree are those with the smallest error. The smoothed value is kept where a segment begins. It is kept
-    everywhere if no prediction has a smaller error than a measured sample, since noise is then negligible beside the
-    motion.
+    everywhere if every prediction errs by `_NEGLIGIBLE_NOISE` times the noise or more.
+
+    Parameters
+    ----------
+    row : int
+        Samples of a row. The first row begins with the segment, and the sample at which a row begins is known.
     """
-    # A prediction with the error of one sample, compared with a noisy sample, has the rms sqrt(2) sigma.
-    best, least = smooth, np.sqrt(2.0) * sigma
+    best, least = smooth, _NEGLIGIBLE_NOISE * sigma
     for seconds in _WINDOWS_SECONDS:
         length = int(round(seconds / recording.period))
         for degree in (one for one in _DEGREES if one < length):
-            weights = np.linalg.pinv(np.vander(np.arange(-length, 0) / length, degree + 1, increasing=True))[0]
+            fitted = np.linalg.pinv(np.vander(np.arange(1 - length, 1) / length, degree + 1, increasing=True))
             trial, known = smooth.copy(), np.zeros(len(values), dtype=bool)
             for begin, end in recording.segments:
-                if end - begin > length:
-                    trial[begin + length : end] = np.convolve(values[begin:end], weights[::-1], mode="valid")[:-1]
-                    known[begin + length : end] = True
+                first = row * -(-(length - 1) // row)  # begin of the first row with a whole window before it
+                for ahead in range(1, row + 1):
+                    at = np.arange(begin + first + ahead, end, row)
+                    if len(at):
+                        weights = (ahead / length) ** np.arange(degree + 1) @ fitted
+                        windows = np.lib.stride_tricks.sliding_window_view(values[begin:end], length)
+                        trial[at] = windows[at - ahead - begin - (length - 1)] @ weights
+                        known[at] = True
             error = float(np.sqrt(np.mean((values - trial)[known] ** 2))) if known.any() else np.inf
             if error < least:
                 best, least = trial, error

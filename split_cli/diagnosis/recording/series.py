@@ -385,8 +385,15 @@ def _filled(values: np.ndarray) -> np.ndarray:
     return np.interp(rows, rows[known], values[known])
 
 
-def predicted_by_model(series: Series, vehicle: Vehicle) -> Series:
-    """Return the series with states predicted with the help of the nominal model, channel by channel if that is better.
+def predicted_by_model(series: Series, vehicle: Vehicle, row: int = 1, terms: Sequence[Term] = ()) -> Series:
+    """Return the series with states predicted with the help of a model, channel by channel if that is better.
+
+    Parameters
+    ----------
+    row : int
+        Samples of a row; a sample is predicted from those before its row.
+    terms : sequence of Term
+        What the model has beyond the nominal one, such as the lags of the simulation.
 
     Notes
     -----
@@ -394,10 +401,10 @@ def predicted_by_model(series: Series, vehicle: Vehicle) -> Series:
     that sum varies slowly, and polynomials through earlier samples predict it. No later sample is used.
     """
     moved, recording = np.zeros_like(series.measured), series.recording
-    plain = predicted_channels(series.measured, series.smooth, series.noise, recording)
-    rates = replace(series, predicted=plain[0]).rates(extended_model(vehicle))
+    plain = predicted_channels(series.measured, series.smooth, series.noise, recording, row)
+    rates = replace(series, predicted=plain[0]).rates(extended_model(vehicle, terms))
     for begin, end in recording.segments:
         moved[begin + 1 : end] = np.cumsum(series.period * rates[begin : end - 1], axis=0)
-    by_model = predicted_channels(series.measured - moved, series.smooth - moved, series.noise, recording)
+    by_model = predicted_channels(series.measured - moved, series.smooth - moved, series.noise, recording, row)
     predicted = np.where(by_model[1] < plain[1], moved + by_model[0], plain[0])
     return replace(series, predicted=predicted)
