@@ -182,9 +182,9 @@ def test_a_symmetric_loss_is_found_at_the_operating_point(discrepancy):
     objective = noisy_objective(driven(32, (lost,)), 2)
     fit = structure_of(objective, discrepancy).fit(objective.residual(()), 1.5)
     assert fit.group_saved[0][0] == "operating point" and fit.p_value < 1e-6
-    # What it makes of noise is taken off its size.
+    # What it makes of noise is taken off its size, up to the scatter of one draw of it.
     assert fit.effect_to_noise == pytest.approx(
-        effects_to_noise_of(objective.evidence[0], objective.evidence[0].at, (lost,)).max(), rel=0.15
+        effects_to_noise_of(objective.evidence[0], objective.evidence[0].at, (lost,)).max(), rel=0.2
     )
 
 
