@@ -14,7 +14,8 @@ SWEEPS = 3
 #: Errors beyond this [m/s, rad/s] are no driving and end the evidence as a gap does; theory: exports take speeds up
 #: to 150 m/s. The squares of a larger one would outweigh minutes of driving.
 MOST_ERROR = 150.0
-#: Sums of squares of errors up to this [m^2/s^2, rad^2/s^2] are rounding: nothing is judged relative to them.
+#: Sums of squares of errors up to this [m^2/s^2, rad^2/s^2] are rounding: nothing is judged relative to them. Theory:
+#: the square of some 45 units of rounding (2.2e-16) at 1 m/s, 1 rad/s.
 LEAST_SQUARES = 1e-28
 
 

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from split_cli.errors import VehicleError
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
+from split_cli.vehicle.calibration.curve import rounded
 from split_cli.vehicle.calibration.samples import MotionRun, axle_lateral_forces, motion_samples
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -161,15 +162,10 @@ def overloaded_axles(drive: Drive, vehicle: Vehicle) -> tuple[str, ...]:
         reached = float(np.nanquantile(np.abs(force), 0.995))
         if reached > _OVERLOAD * tire.D:
             said.append(
-                f"its {axle} axle carried {_three(reached)} N across, and D of {axle}_tire is {_three(tire.D)} N: the "
-                "nominal model slides there, and the car did not"
+                f"its {axle} axle carried {rounded(reached)} N across, and D of {axle}_tire is {rounded(tire.D)} N: "
+                "the nominal model slides there, and the car did not"
             )
     return tuple(said)
-
-
-def _three(value: float) -> str:
-    """Return a number with three digits, without a power of ten."""
-    return f"{float(f'{value:.3g}'):g}"
 
 
 def near_points(training_set: TrainingSet, z: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ row's other samples either, by which the row is judged.
 """
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from split_cli.vehicle.effects import Recording
 
@@ -88,16 +89,15 @@ def predicted_from_the_past(
         length = int(round(seconds / recording.period))
         for degree in (one for one in _DEGREES if one < length):
             fitted = np.linalg.pinv(np.vander(np.arange(1 - length, 1) / length, degree + 1, increasing=True))
+            # Of the samples of a row, one column each.
+            weights = (np.vander(np.arange(1, row + 1) / length, degree + 1, increasing=True) @ fitted).T
             trial, known = smooth.copy(), np.zeros(len(values), dtype=bool)
             for begin, end in recording.segments:
-                first = row * -(-(length - 1) // row)  # begin of the first row with a whole window before it
-                for ahead in range(1, row + 1):
-                    at = np.arange(begin + first + ahead, end, row)
-                    if len(at):
-                        weights = (ahead / length) ** np.arange(degree + 1) @ fitted
-                        windows = np.lib.stride_tricks.sliding_window_view(values[begin:end], length)
-                        trial[at] = windows[at - ahead - begin - (length - 1)] @ weights
-                        known[at] = True
+                first = row * -(-(length - 1) // row)  # begin of the first row with a whole window up to it
+                if end - begin > first + 1:
+                    windows = sliding_window_view(values[begin:end], length)[first - (length - 1) :: row]
+                    trial[begin + first + 1 : end] = (windows @ weights).ravel()[: end - begin - first - 1]
+                    known[begin + first + 1 : end] = True
             error = float(np.sqrt(np.mean((values - trial)[known] ** 2))) if known.any() else np.inf
             if error < least:
                 best, least = trial, error

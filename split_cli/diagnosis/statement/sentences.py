@@ -19,7 +19,7 @@ Parameters = Mapping[str, ParameterEstimate]
 _STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))
 _WORTH_A_WORD = 0.2  # of the gap, that neither a finding nor the unexplained part accounts for
 _CLEARLY = 0.02  # share of the gap from which on it is said to go with a variable
-_LASTING = 0.2  # of a squared error, from which on its mean is worth a word
+_MUCH_OF_ERROR = 0.2  # share of the mean in a squared error, from which on it is stated [1]; judgement
 _STANDS_FOR = 0.4  # of what place explains, from which on another variable is named in its stead
 
 
@@ -362,7 +362,7 @@ def _offsets(last: HorizonErrors, stage: str, channels: Sequence[int], vehicle: 
     sentences = []
     for k in channels:
         share = last.mean_share(stage, k)
-        if share is None or share < _LASTING:
+        if share is None or share < _MUCH_OF_ERROR:
             continue
         (name, unit), mean = _STATES[k], last.mean[stage][k]
         text = f"The mean error of {name} is {number(mean, 2)} {unit}, {percent(share)} of the squared error"

@@ -51,7 +51,7 @@ def judge_corrected(
     if not runs:
         return None
     last = max(len(one.horizons) for one in runs) - 1
-    derived = any(one.series.drive.metadata.torque_follows_motion for one, _ in recordings)
+    derived = any("v_x" in one.series.drive.metadata.circular for one, _ in recordings)
     states = [_states_at(runs, k)[1 if derived else 0 :] for k in dict.fromkeys((0, last))]
     return CorrectedVehicle(tuple(one for several in states for one in several))
 

@@ -13,9 +13,9 @@ from split_cli.diagnosis.statement.sentences import tolerance_sentence
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 
-#: Of what is usual, from which on a sensor's error is worth a word [1]. Judgement: a bias of 0.015 m/s^2 where
+#: Share of what is usual, from which on a sensor's error is a lead [1]. Judgement: a bias of 0.015 m/s^2 where
 #: 0.245 m/s^2 is usual is below what an accelerometer resolves.
-_WORTH_A_WORD = 0.1
+_WORTH_A_LEAD = 0.1
 
 
 def named_or_tolerated(selection: Selection) -> tuple[bool, ...]:
@@ -66,4 +66,4 @@ def is_worth_a_word(
     if taken_off and any(one.unit != "m/s^2" for one in estimates.values()):
         return True
     neutral = CATALOGUE[term].neutral
-    return any(abs(estimates[k].value - neutral[k]) >= _WORTH_A_WORD * limit for k, limit in limits.items())
+    return any(abs(estimates[k].value - neutral[k]) >= _WORTH_A_LEAD * limit for k, limit in limits.items())

@@ -360,7 +360,7 @@ def _with_peak(p: np.ndarray, log_peak: float) -> np.ndarray:
     return moved
 
 
-def _three(force: float) -> str:
+def rounded(force: float) -> str:
     """Return a force with three digits, without a power of ten."""
     return f"{float(f'{force:.3g}'):g}"
 
@@ -375,14 +375,14 @@ def _settle(
     narrow = high <= 1.15 * estimate and low >= 0.85 * estimate and best.parameters[2] not in _C_BOUNDS
     if narrow and reached >= 0.85 * estimate:
         return best, ("B", "C", "D"), []
-    limit = f"at least {_three(low)} N" if np.isinf(high) else f"between {_three(low)} and {_three(high)} N"
+    limit = f"at least {rounded(low)} N" if np.isinf(high) else f"between {rounded(low)} and {rounded(high)} N"
     peak = profile.nearest(given_peak)
     of_the_file = given_peak == start.D
-    given = f"{'D of the file' if of_the_file else 'Friction times static load'}, {_three(given_peak)} N,"
+    given = f"{'D of the file' if of_the_file else 'Friction times static load'}, {rounded(given_peak)} N,"
     kept = f"{given} is {'kept' if of_the_file else 'taken as D'}, the slope B C D is fitted"
     if peak != given_peak:
-        kept = f"{given} contradicts that: D = {_three(peak)} N is taken"
-    remarks = [f"{axle}: the peak is not identified: forces reach {_three(reached)} N, D is {limit}. {kept}"]
+        kept = f"{given} contradicts that: D = {rounded(peak)} N is taken"
+    remarks = [f"{axle}: the peak is not identified: forces reach {rounded(reached)} N, D is {limit}. {kept}"]
     others = problem.free[problem.free != 1]
     held = problem.fit(_with_peak(best.parameters, np.log(peak)), free=others, scale=best.scale)
     error = np.sqrt(np.diag(held.covariance(problem.block))[list(held.free).index(2)])
