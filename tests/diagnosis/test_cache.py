@@ -57,7 +57,7 @@ def test_defects_beside_sensors_are_those_of_a_model_evaluated_alone(objective):
             recording=series.recording,
         )
         inside = series.inside()[:, None]
-        expected = motion(series, one.jacobian, measured, smooth) - inside * series.period * np.stack(rates, 1)[:-1]
+        expected = motion(series, one.linear, measured, smooth) - inside * series.period * np.stack(rates, 1)[:-1]
         np.testing.assert_allclose(one.defects(terms), expected, rtol=0.0, atol=1e-13)
 
 

@@ -13,6 +13,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.cache import RecentResults
+from split_cli.diagnosis.innovations.linearisation import Linearisation, linearise
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener, cost_by_disturbance
 from split_cli.diagnosis.policy import STANDARD, Believing
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, predicted_by_model
@@ -32,7 +33,7 @@ class Evidence:
 
     vehicle: Vehicle
     series: Series
-    jacobian: np.ndarray  # (N, 3, 3): nominal velocity Jacobian at the predicted states
+    linear: Linearisation  # of the nominal model at the predicted states
     whitener: Whitener
     nominal_rows: np.ndarray  # (G, 3): whitened rows against the nominal model with the shared terms
     discrepancy: np.ndarray  # (G, 3, C): whitened columns of the shared discrepancy
@@ -71,8 +72,9 @@ class Evidence:
 
         Notes
         -----
-        z_k = y_{k+1} - y_k - h f - (h/2) (A_k d_k + A_{k+1} d_{k+1}), with y the measured velocities, f the model's
-        rates at the predicted ones, d measured less predicted, A the nominal Jacobian and h the sample period.
+        z_k = y_{k+1} - y_k - h f - (h/2) (a_k + a_{k+1}), with y the measured velocities, f the model's rates at the
+        predicted ones and h the sample period. a is the answer of the nominal model to the deviation d, measured less
+        predicted: A d, or what has built up of it (`Linearisation.of_deviation`).
         """
         measured, predicted = self.series.evaluated(terms)
         rates = self.series.rates(extended_model(self.vehicle, (*terms, *self.shared_terms)), predicted)
@@ -84,26 +86,26 @@ class Evidence:
         # The velocities are kept in the cache, so that their ids stay unique.
         made = self._moved_cache(
             (id(measured), id(predicted)),
-            lambda: (motion(self.series, self.jacobian, measured, predicted), measured, predicted),
+            lambda: (motion(self.series, self.linear, measured, predicted), measured, predicted),
         )
         return made[0]
 
 
-def motion(series: Series, jacobian: np.ndarray, measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+def motion(series: Series, linear: Linearisation, measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     """Return the measured motion that a model's rates at the predicted states should equal, (N - 1, 3); 0 over gaps.
 
     Parameters
     ----------
-    jacobian : ndarray, shape (N, 3, 3)
-        Nominal velocity Jacobian at the predicted states.
+    linear : Linearisation
+        Of the nominal model at the predicted states.
     measured, predicted : ndarray, shape (N, 3)
 
     Notes
     -----
-    The model is evaluated at predicted states, and its Jacobian leads from there to the measured ones. So sensor noise
-    enters linearly, as the whitener assumes.
+    The model is evaluated at predicted states, and its linearisation leads from there to the measured ones. So sensor
+    noise enters linearly, as the whitener assumes.
     """
-    carried = np.einsum("nij,nj->ni", jacobian, measured - predicted)
+    carried = linear.of_deviation(measured - predicted)
     out = np.diff(measured, axis=0) - 0.5 * series.period * (carried[1:] + carried[:-1])
     out[~series.inside()] = 0.0
     return out
@@ -141,12 +143,10 @@ def gather_evidence(
         Lower bound, for example of the simulated recordings.
     """
     series = predicted_by_model(series, vehicle, _samples_of_a_row(series), discrepancy.shared_terms)
-    rows = series.predicted.T
-    jacobian = extended_model(vehicle).velocity_jacobian(
-        *rows, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
-    )
+    linear = linearise(vehicle, series, discrepancy.shared_terms)
+    jacobian = linear.of_noise()
     rates = series.rates(extended_model(vehicle, discrepancy.shared_terms))
-    plain = motion(series, jacobian, series.measured, series.predicted) - integrated(series, rates)
+    plain = motion(series, linear, series.measured, series.predicted) - integrated(series, rates)
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)
@@ -167,9 +167,7 @@ def gather_evidence(
     u, phi = whitener(plain), _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy))
     left = u - phi @ _discrepancy_weights(u, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
-    return Evidence(
-        vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls, discrepancy.shared_terms
-    )
+    return Evidence(vehicle, series, linear, whitener, u, phi, at, disturbance, weight, rolls, discrepancy.shared_terms)
 
 
 def rewhitened_with_noise(
@@ -182,7 +180,7 @@ def rewhitened_with_noise(
     """
     series = one.series
     whitener = build_whitener(
-        one.jacobian,
+        one.linear.of_noise(),
         series.period,
         np.maximum(series.stated_noise, noise),
         np.maximum(one.disturbance, disturbance),

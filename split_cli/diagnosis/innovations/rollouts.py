@@ -277,7 +277,7 @@ def _noise_alone(evidence: Evidence, starts: np.ndarray, window: int, at: np.nda
     noise = white_noise(evidence.series.noise)
     out = []
     for step in range(int(at[-1]) + 1):
-        A = evidence.jacobian[starts + step * window]
+        A = evidence.linear.jacobian[starts + step * window]
         carried = carried + horizon * A @ phi_matrix(A, horizon) @ carried
         if step in at:
             ends = covariance_of_ends(carried, noise, (step + 1) * window)

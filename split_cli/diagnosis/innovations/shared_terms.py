@@ -18,9 +18,13 @@ from split_cli.diagnosis.innovations.evidence import Evidence, weighted_rows
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.late import BuildsUp
 from split_cli.vehicle.effects.search import Course
+from split_cli.vehicle.parameters import Vehicle
 
 _BEGIN = 0.03
 """Starting value of every parameter, in units of `Term.sizes` [1]. Judgement: a servo's 30 ms in a full-size car."""
+_LEAST = 1e-3
+"""Smallest value that a fit begins from, in units of `Term.sizes` [1]: on a bound it would have no slope to one side.
+Judgement: a thirtieth of the value that a first fit begins from."""
 
 
 def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepancy) -> tuple[Term, ...]:
@@ -31,7 +35,7 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
     simulated : sequence of Evidence
         At least one, whitened with `discrepancy`.
     discrepancy : SharedDiscrepancy
-        Its columns `unlike_shared_terms` are fitted at the same time.
+        Its columns `unlike_shared_terms` are fitted at the same time. The fit begins from its shared terms, if any.
     """
     vehicle, first = discrepancy.vehicle, simulated[0].series
     course = Course(max(float(first.t[-1]), 1.0), float(first.s.max()))
@@ -62,12 +66,29 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
         out[late] = sizes
         return left(out)
 
+    known = {name: value for term in discrepancy.shared_terms for name, value in _sizes(term, vehicle).items()}
+    begin = np.array([known.get((kind.id, name), _BEGIN) for kind, name in kinds.items()])
+    found = _fitted(left, np.clip(begin, _LEAST, most), most)
     begin = np.full(len(unit), _BEGIN)
-    found = _fitted(left, begin, most)
     begin[late] = _fitted(left_by_lags, begin[late], most[late]).x
     again = _fitted(left, begin, most)
     deeper = again.cost < found.cost and not np.isclose(again.cost, found.cost)
     return terms_at(again.x if deeper else found.x)
+
+
+def have_settled(before: Sequence[Term], after: Sequence[Term], vehicle: Vehicle, share: float) -> bool:
+    """Return whether all shared terms changed by at most this share of their values, or of `_BEGIN` if that is more."""
+    return len(before) == len(after) and all(
+        abs(new - old) <= share * max(old, new, _BEGIN)
+        for one, other in zip(before, after, strict=True)
+        for old, new in zip(_sizes(one, vehicle).values(), _sizes(other, vehicle).values(), strict=True)
+    )
+
+
+def _sizes(term: Term, vehicle: Vehicle) -> dict[tuple[str, str], float]:
+    """Return the parameters in units of `Term.sizes`, by the ids of term and parameter."""
+    unit = term.sizes(vehicle)
+    return {(term.id, name): value / unit.get(name, 1.0) for name, value in term.parameters.items()}
 
 
 def _fitted(left: Callable[[np.ndarray], np.ndarray], begin: np.ndarray, most: np.ndarray) -> OptimizeResult:

@@ -149,7 +149,7 @@ def force_noise(evidence: Evidence, at: np.ndarray) -> np.ndarray:
     """
     period = evidence.series.period
     width = max(1, int(round(_AVERAGE_SECONDS / period)))
-    A = evidence.jacobian[at] / width
+    A = evidence.linear.jacobian[at] / width
     end = np.eye(3) / (width * period)
     to_force = np.linalg.inv(evidence.vehicle.force_matrix())
     gains = ((1.0, to_force @ (end - 0.5 * A)), (1.0, to_force @ (end + 0.5 * A)), (width - 1.0, to_force @ A))
