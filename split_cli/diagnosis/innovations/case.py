@@ -47,6 +47,8 @@ class DiagnosisCase:
     keep_holdout: tuple[np.ndarray, ...] = ()
     # The simulated recordings, whitened with the noise and disturbance of the real ones.
     rewhitened: tuple[Evidence, ...] = ()
+    # Terms of the model that predicts states from earlier samples, see `gather_evidence`.
+    predicting: tuple[Term, ...] = ()
 
     def compared(self, reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case that compares real rows within the distance `reach` of a simulated one, see `comparable`."""
@@ -64,7 +66,10 @@ class DiagnosisCase:
     def recorded_as(self, series: Sequence[Series], reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case with other real recordings, whitened and compared in the same way, and the same witnesses."""
         real = map_in_threads(
-            lambda one: _gathered(self.vehicle, one, self.discrepancy, self.simulated, policy.believing), series
+            lambda one: _gathered(
+                self.vehicle, one, self.discrepancy, self.simulated, policy.believing, self.predicting
+            ),
+            series,
         )
         keep = (comparable(one, self.simulated, self.discrepancy, reach, policy) for one in real)
         return replace(self, real=tuple(real), keep=tuple(keep))
@@ -99,20 +104,28 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
     discrepancy = build_shared_discrepancy(vehicle, (by_role["sim"] or by_role["real"])[0])
 
-    def taught(discrepancy: SharedDiscrepancy) -> list[Evidence]:
-        whiten = partial(gather_evidence, vehicle, discrepancy=discrepancy, rules=rules)
-        return map_in_threads(whiten, by_role["sim"])
+    def with_shared_terms(series: Sequence[Series]) -> tuple[SharedDiscrepancy, list[Evidence]]:
+        """Return the discrepancy with `SHARED_TERMS` as these recordings show them, and their rows."""
 
-    simulated = taught(discrepancy)
-    # The terms decide where the models and the smooth functions are evaluated, and how late forces follow deviations.
-    for _ in range(_MOST_PASSES if simulated else 0):
-        before = discrepancy.shared_terms
-        discrepancy = replace(discrepancy, shared_terms=shared_terms_of(simulated, discrepancy))
-        simulated = taught(discrepancy)
-        if have_settled(before, discrepancy.shared_terms, vehicle, _SETTLED):
-            break
+        def whitened(discrepancy: SharedDiscrepancy) -> list[Evidence]:
+            return map_in_threads(partial(gather_evidence, vehicle, discrepancy=discrepancy, rules=rules), series)
+
+        found, evidence = discrepancy, whitened(discrepancy)
+        # The terms decide where the models are evaluated, and how late forces follow deviations.
+        for _ in range(_MOST_PASSES if series else 0):
+            before = found.shared_terms
+            found = replace(found, shared_terms=shared_terms_of(evidence, found))
+            evidence = whitened(found)
+            if have_settled(before, found.shared_terms, vehicle, _SETTLED):
+                break
+        return found, evidence
+
+    shared, simulated = with_shared_terms(by_role["sim"])
+    # Without a simulation nothing is shared; the terms only say which states follow from earlier samples.
+    predicting = shared.shared_terms if simulated else with_shared_terms(by_role["real"])[0].shared_terms
+    discrepancy = shared
     real, holdout = (
-        map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules), by_role[role])
+        map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules, predicting), by_role[role])
         for role in ("real", "holdout")
     )
     noise = np.median([one.series.stated_noise for one in real], axis=0)
@@ -136,15 +149,21 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         tuple(theirs),
         tuple(simulated),
         rewhitened=tuple(rewhitened),
+        predicting=tuple(predicting),
     )
     return case.compared(policy.comparison.reach, policy)
 
 
 def _gathered(
-    vehicle: Vehicle, series: Series, discrepancy: SharedDiscrepancy, simulated: Sequence[Evidence], rules: Believing
+    vehicle: Vehicle,
+    series: Series,
+    discrepancy: SharedDiscrepancy,
+    simulated: Sequence[Evidence],
+    rules: Believing,
+    predicting: Sequence[Term],
 ) -> Evidence:
     """Whiten a real recording, with at least the disturbance of the simulated ones."""
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
-    own = gather_evidence(vehicle, series, discrepancy, least, rules)
+    own = gather_evidence(vehicle, series, discrepancy, least, rules, predicting)
     # Without a simulation nothing is shared.
     return own if simulated else replace(own, discrepancy=np.empty((*own.nominal_rows.shape, 0)))

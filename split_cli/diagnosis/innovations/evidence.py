@@ -134,6 +134,7 @@ def gather_evidence(
     discrepancy: SharedDiscrepancy,
     least_disturbance: np.ndarray | None = None,
     rules: Believing = STANDARD.believing,
+    predicting: Sequence[Term] | None = None,
 ) -> Evidence:
     """Whiten a recording; the variance of the disturbances is estimated by maximum likelihood.
 
@@ -141,9 +142,13 @@ def gather_evidence(
     ----------
     least_disturbance : ndarray, shape (3,), optional
         Lower bound, for example of the simulated recordings.
+    predicting : sequence of Term, optional
+        Terms of the model that predicts states from earlier samples, and of its linearisation; by default the shared
+        terms of the discrepancy.
     """
-    series = predicted_by_model(series, vehicle, _samples_of_a_row(series), discrepancy.shared_terms)
-    linear = linearise(vehicle, series, discrepancy.shared_terms)
+    predicting = discrepancy.shared_terms if predicting is None else predicting
+    series = predicted_by_model(series, vehicle, _samples_of_a_row(series), predicting)
+    linear = linearise(vehicle, series, predicting)
     jacobian = linear.of_noise()
     rates = series.rates(extended_model(vehicle, discrepancy.shared_terms))
     plain = motion(series, linear, series.measured, series.predicted) - integrated(series, rates)
