@@ -60,21 +60,6 @@ class Linearisation:
         late = [first_order_response(column, self.rate, self.recording) for column in forces.T]
         return _times(self.immediate, deviation) + np.stack(late, axis=1)
 
-    def of_noise(self) -> np.ndarray:
-        """Return the derivative of the rates with respect to the noise of the very sample, shape (N, 3, 3) [1/s].
-
-        Notes
-        -----
-        The whitening filter assumes that noise changes the rates in its own sample alone. Of a force that builds up
-        at the rate a, the share 1 - (1 - e^-q)/q with q = a times the period does so; for large q that is all of it.
-        What noise of earlier samples leaves in the force is part of the disturbance.
-        """
-        if self.rate is None:
-            return self.jacobian
-        q = np.maximum(self.rate * self.recording.period, 1e-6)
-        share = 1.0 + np.expm1(-q) / q
-        return self.immediate + share[:, None, None] * (self.jacobian - self.immediate)
-
 
 def linearise(vehicle: Vehicle, series: Series, shared_terms: Sequence[Term] = ()) -> Linearisation:
     """Return the linearisation of the nominal model at the predicted states of a recording.
