@@ -11,6 +11,7 @@ from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, rolling
 from split_cli.diagnosis.innovations.linearisation import linearise
+from split_cli.diagnosis.innovations.noise_memory import noise_model
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, build_objective
 from split_cli.diagnosis.innovations.whitening import build_whitener
 from split_cli.diagnosis.policy import STANDARD, Policy
@@ -157,7 +158,7 @@ def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
         at += list(begin + rows // 2 + rows * np.arange(count))
     strength = disturbance * np.array([1.0, 1.0, car.mass / car.yaw_inertia])
     whitener = build_whitener(
-        linear.of_noise(), series.period, series.noise, strength, series.transitions_begin(), group
+        noise_model(linear), series.noise, strength, series.period, series.transitions_begin(), group
     )
     evidence = Evidence(
         car,

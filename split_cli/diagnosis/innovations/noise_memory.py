@@ -61,9 +61,10 @@ def noise_model(linear: Linearisation) -> NoiseModel:
 
     Notes
     -----
-    Let u = (A - A_0) n be the forces that noise would give in steady state, and q the rate times the period h. Over one
-    sample F+ = e^-q F + (mu - e^-q) u + (1 - mu) u+ with mu = (1 - e^-q)/q, as in `first_order_response`. The noise
-    enters the defect by -(h/2) (A_0 n + F) at both ends. F is divided into phi and d u, with d of the transition before.
+    Let u = (A - A_0) n be the forces that noise would give in steady state, and q the rate times the period h. Over
+    one sample F+ = e^-q F + (mu - e^-q) u + (1 - mu) u+ with mu = (1 - e^-q)/q, as in `first_order_response`. The
+    noise enters the defect by -(h/2) (A_0 n + F) at both ends. F is phi and d u, with d = 1 - mu of the transition
+    before.
     """
     period, identity = linear.recording.period, np.eye(3)
     if linear.rate is None:

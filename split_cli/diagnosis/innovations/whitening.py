@@ -53,14 +53,14 @@ class Whitener:
         if defect.ndim == 2 and self.memory is None:
             rows = _whiten_one(defect, *filtered)
         else:
-            columns = defect.reshape(len(defect), 3, -1)
+            columns = defect if defect.ndim == 3 else defect[:, :, None]
             estimate = np.zeros((6, columns.shape[2])) if estimate is None else estimate
             if self.memory is None:
                 rows = _whiten(columns, *filtered, estimate)
             else:
                 into, kept, times, _ = self.memory
                 rows = whiten_with_memory(columns, *filtered, estimate, self.recall, into, kept, times)
-            rows = rows.reshape(-1, *defect.shape[1:])
+            rows = rows if defect.ndim == 3 else rows[:, :, 0]
         return rows / np.sqrt(self.count).reshape(-1, *(1,) * (rows.ndim - 1))
 
     def stretches(self, length: int) -> Iterator[tuple[slice, slice, Whitener]]:
