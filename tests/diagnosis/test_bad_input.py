@@ -154,6 +154,13 @@ def test_a_file_that_is_off_for_the_simulation_as_well_speaks_of_no_other_car(re
     assert len(unfit(worse, road_car(), simulated=[simulated])) == 1
 
 
+def test_front_wheels_that_slide_on_ice_make_no_other_car(real):
+    """On two fifths of the road the wheels are turned by 0.3 rad more, and the car turns as before."""
+    on_ice = real.segment % 5 < 2
+    turned = real["delta"] + 0.3 * np.where(on_ice, np.sign(real["r"]), 0.0)
+    assert unfit(altered(real, delta=turned), road_car()) == []
+
+
 def test_a_turned_sign_is_suspected(real):
     (reason,) = unfit(altered(real, delta=-real["delta"]), road_car())
     assert "sign may be turned" in reason
