@@ -20,7 +20,7 @@ from split_cli.logs.readers.opening import is_list_of_rows, is_prose
 LOG_SUFFIXES = tuple(
     """
     .mcap .bag .db3 .csv .txt .vbo .parquet .feather .mat .mf4 .mdf .blf .asc .trc .jsonl .ascii .lvm .tsv .arrow
-    .mcap.zstd .db3.zstd .npz .ibt
+    .mcap.zstd .db3.zstd .npz .ibt .ld
     """.split()
 )
 DRIVE_SUFFIXES = (".parquet", ".pq", ".csv")

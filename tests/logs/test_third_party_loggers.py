@@ -238,7 +238,7 @@ def test_files_of_other_programs_are_named_with_the_way_out(tmp_path):
     for name, head, told in (
         ("a.zip", b"PK\x03\x04", "zip"),
         ("a.xrk", b"<hCNF", "RaceStudio"),
-        ("a.ld", b"@", "i2"),
+        ("a.ld", b"@", "a MoTeC log"),
         ("a.ibt", b"\x02", "of iRacing"),
     ):
         (tmp_path / name).write_bytes(head + bytes(64))

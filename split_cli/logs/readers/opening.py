@@ -19,6 +19,7 @@ from split_cli.logs.readers.labelled_lines import is_labelled, open_labelled
 from split_cli.logs.readers.line_protocol import is_line_protocol, open_line_protocol
 from split_cli.logs.readers.lines_of_objects import form_of_objects, open_objects
 from split_cli.logs.readers.messages import Container, MessageRecording
+from split_cli.logs.readers.motec_ld import is_motec_ld, open_motec_ld
 from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
 from split_cli.logs.readers.novatel import is_novatel, open_novatel
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
@@ -50,7 +51,6 @@ _FOREIGN_MAGIC = (
 )
 _OTHERS = {
     **dict.fromkeys((".xrk", ".xrz", ".drk"), ("an AiM recording", "Export it from RaceStudio as CSV.")),
-    ".ld": ("a MoTeC log", "Export it from i2 as CSV or MAT."),
     ".rcz": ("a RaceChrono session", "Export it from the app as CSV v3."),
     ".tdms": ("a TDMS file", "Export it as CSV or MAT."),
     ".erg": ("a result of CarMaker", "Export it as CSV or MAT."),
@@ -72,6 +72,7 @@ _BINARY_SUFFIXES = {
     ".mdf": "an MDF file",
     ".mat": "a MAT file",
     ".ibt": "telemetry of iRacing",
+    ".ld": "a MoTeC log",
 }
 
 
@@ -239,6 +240,8 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_netcdf_classic(path)
     if path.suffix.lower() == ".ibt" and is_ibt(path, head):
         return open_ibt(path)
+    if is_motec_ld(path, head):
+        return open_motec_ld(path)
     if is_pi_toolbox(head):
         return open_pi_toolbox(path)
     if is_json(head):
