@@ -56,7 +56,8 @@ class _LdChannel:
 
     def quantities(self, content: memoryview) -> np.ndarray:
         """Return the samples in their unit, shape (N,): (raw/scale 10^-decimals + shift) multiplier."""
-        raw = np.frombuffer(content, self.dtype, self.count, self.place).astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a float that signals that it is none
+            raw = np.frombuffer(content, self.dtype, self.count, self.place).astype(np.float64)
         return (raw * (10.0**-self.decimals / self.scale) + self.shift) * self.multiplier
 
 

@@ -3,10 +3,10 @@
 import itertools
 import os
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
-from split_cli.errors import LogError, NoRecordingError, NoTableError
-from split_cli.files import refuse_no_regular_file
+from split_cli.errors import LogError, NoRecordingError, NoTableError, SplitError
+from split_cli.files import ScratchFolder, refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.code_pages import utf_16_without_mark
@@ -25,6 +25,19 @@ from split_cli.logs.readers.novatel import is_novatel, open_novatel
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
 from split_cli.logs.readers.rewritten_tables import is_rewritten, open_rewritten
 from split_cli.logs.readers.rows_of_kinds import open_rows_of_kinds, titles_of_kinds
+from split_cli.logs.readers.unpacking import (
+    PACKED_SUFFIXES,
+    ZIP_MAGIC,
+    UnpackedRecording,
+    by_its_own_name,
+    is_packed,
+    plain_name,
+    refuse_long_list,
+    several_recordings,
+    shown_members,
+    unpacked,
+    unzipped,
+)
 from split_cli.logs.readers.yaml_documents import is_yaml_documents, open_yaml_documents
 
 _HEAD_BYTES = 4096
@@ -32,13 +45,16 @@ NETCDF_MAGIC = (b"CDF\x01", b"CDF\x02")
 """How a file of NetCDF begins in its classic forms."""
 _MOST_LISTED = 2000
 """Files of a folder that are looked at to say what it holds [1]."""
-_ZSTD = b"\x28\xb5\x2f\xfd"
+LOG_SUFFIXES = tuple(
+    """
+    .mcap .bag .db3 .csv .txt .vbo .parquet .feather .mat .mf4 .mdf .blf .asc .trc .jsonl .ascii .lvm .tsv .arrow
+    .npz .ibt .ld .zip
+    """.split()
+    + list(PACKED_SUFFIXES)
+)
+"""How names of recordings end; of compressed files the ending before counts, too."""
 _FOREIGN_MAGIC = (
     (b"#ROSBAG V1", "a ROS 1 bag of version 1", "Convert it with `rosbag fix` or `rosbag reindex`."),
-    (b"\x1f\x8b", "compressed with gzip", "Unpack it first."),
-    (_ZSTD, "compressed with zstd", "Unpack it first with `zstd -d`."),
-    (b"PK\x03\x04", "a zip archive or a spreadsheet", "Unpack it, or export it as CSV."),
-    (b"BZh", "compressed with bzip2", "Unpack it first."),
     (b"\xa3\x95\x80\x80", "an ArduPilot log", "Convert it to a CSV for each message with mavlogdump, for --together."),
     (b"ULog\x01\x12\x35", "a ULog of PX4", "Convert it with ulog2csv, and name its tables with --together."),
     (b"|CF,", "an imc FAMOS file", "Export it as CSV or MAT."),
@@ -107,6 +123,52 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     return GuardedRecording(guarded(path, lambda: _open(path, message_paths)))
 
 
+def open_parts(path: str | Path, *, message_paths: Sequence[str | Path] = ()) -> list[RawRecording]:
+    """Open the recordings that are parts of one drive: those of an archive, or the one that a file is.
+
+    Raises
+    ------
+    LogError
+        As `open_recording`.
+    """
+    path = Path(path)
+    if not guarded(path, lambda: _is_archive(path)):
+        return [open_recording(path, message_paths=message_paths)]
+
+    def opened() -> list[RawRecording]:
+        scratch = ScratchFolder()
+        found = _recordings_in(path, scratch.path)
+        return [_from_copy(path, copy, scratch, message_paths, alone=len(found) == 1) for copy in found]
+
+    return [GuardedRecording(part) for part in guarded(path, opened)]
+
+
+def is_log(path: Path, suffixes: Sequence[str] = LOG_SUFFIXES) -> bool:
+    """Tell whether a file is of one of the kinds; a text must hold rows of numbers, and JSON a list of objects.
+
+    Settings are written as one object. Phones write a table about the device beside those of their sensors. An
+    archive must hold such a file.
+    """
+    kind = path.suffix.lower()
+    if kind == ".json":
+        # Of another file system the content is not looked at, and none is taken there.
+        return ".jsonl" in suffixes and path.is_file() and _is_list_of_rows(path)
+    if not has_ending(path.name, suffixes):
+        return False
+    if kind == ".zip":
+        return path.is_file() and any(has_ending(name, LOG_SUFFIXES) for name in shown_members(path))
+    return not (kind in (".txt", ".csv") and path.is_file() and is_prose(path))
+
+
+def has_ending(name: str, suffixes: Sequence[str]) -> bool:
+    """Tell whether a name ends in one of `suffixes`; that of a compressed file, whether the one before does, too."""
+    name = name.lower()
+    plain = plain_name(name)
+    if plain != name:
+        return name.removeprefix(plain) in suffixes and plain.endswith(tuple({*suffixes} - {*PACKED_SUFFIXES, ".zip"}))
+    return name.endswith(tuple(suffixes))
+
+
 def is_prose(path: Path) -> bool:
     """Tell a text that is no recording, such as a README.txt beside logs: it holds no rows of numbers.
 
@@ -133,7 +195,7 @@ def is_prose(path: Path) -> bool:
     return False
 
 
-def is_list_of_rows(path: Path) -> bool:
+def _is_list_of_rows(path: Path) -> bool:
     """Tell a JSON file that is a list of objects by its beginning; one object may be settings."""
     try:
         with path.open("rb") as stream:
@@ -201,11 +263,8 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.bag1 import Bag1Container
 
         return _messages(path, Bag1Container(path), message_paths)
-    if head.startswith(_ZSTD):
-        from split_cli.logs.readers.rosbag2 import PACKED_SUFFIXES, open_packed_file
-
-        packed = path.name.lower().endswith(PACKED_SUFFIXES)
-        return _messages(path, open_packed_file(path), message_paths) if packed else None
+    if is_packed(head):
+        return _open_packed(path, message_paths)
     databases = [Path(p) for p in message_paths if Path(p).suffix.lower() in DATABASE_SUFFIXES]
     if head.startswith((b"MDF     ", b"UnFinMF ")):
         from split_cli.logs.readers.mf4 import open_mf4
@@ -226,14 +285,15 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.numpy_arrays import open_npy
 
         return open_npy(path)
-    if head.startswith(b"PK\x03\x04"):
+    if head.startswith(ZIP_MAGIC):
+        refuse_long_list(path)
         from split_cli.logs.readers.numpy_arrays import is_npz, open_npz
 
         if is_npz(path, head):
             return open_npz(path)
         from split_cli.logs.readers.spreadsheet import is_spreadsheet, open_spreadsheet
 
-        return open_spreadsheet(path) if is_spreadsheet(path, head) else None
+        return open_spreadsheet(path) if is_spreadsheet(path, head) else _open_archive(path, message_paths)
     if head.startswith(NETCDF_MAGIC):
         from split_cli.logs.readers.netcdf_classic import open_netcdf_classic
 
@@ -270,6 +330,74 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
 
         return open_mat_hdf5(path)
     return None
+
+
+def _open_packed(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
+    scratch = ScratchFolder()
+    return _from_copy(path, unpacked(path, scratch.path), scratch, message_paths)
+
+
+def _open_archive(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
+    scratch = ScratchFolder()
+    found = _recordings_in(path, scratch.path)
+    if len(found) > 1:
+        raise several_recordings(path, [copy.relative_to(scratch.path).as_posix() for copy in found])
+    return _from_copy(path, found[0], scratch, message_paths)
+
+
+def _from_copy(
+    path: Path, copy: Path, scratch: ScratchFolder, message_paths: Sequence[str | Path], *, alone: bool = True
+) -> UnpackedRecording:
+    """Open what was unpacked; it may not be packed again. If it was there `alone`, its name is that of the file."""
+    place = copy.relative_to(scratch.path).as_posix()
+    called = path.name if alone else place
+    name = f"{path.name}/{place}" if _is_archive(path) else path.name
+    try:
+        if copy.is_dir():
+            return UnpackedRecording(_open_folder(copy, message_paths), path, called, scratch)
+        with copy.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        if is_packed(head) or (path.suffix.lower() != ".zip" and _is_archive(copy)):
+            raise LogError("is packed twice", where=name, advice="Unpack it once.")
+        return UnpackedRecording(_open_file(copy, message_paths), path, called, scratch)
+    except SplitError as error:
+        raise by_its_own_name(error, copy, name) from error
+
+
+def _recordings_in(path: Path, folder: Path) -> list[Path]:
+    """Unpack the recordings of an archive into a folder; return them: files, and folders of rosbag2.
+
+    Raises
+    ------
+    LogError
+        If there is none.
+    """
+    files = unzipped(path, folder, lambda name: _may_be_read(PurePosixPath(name)))
+    bags = {file.parent for file in files if file.name == "metadata.yaml"}
+    alone = [file for file in files if not bags & {*file.parents}]
+    logs = alone if len(files) == 1 else [file for file in alone if is_log(file)]
+    if not (bags or logs):
+        advice = "Unpack it, and name the recording."
+        raise LogError("is an archive without a recording in it", where=path.name, advice=advice)
+    return sorted([*bags, *logs])
+
+
+def _may_be_read(place: PurePosixPath) -> bool:
+    return place.name == "metadata.yaml" or place.suffix.lower() == ".json" or has_ending(place.name, LOG_SUFFIXES)
+
+
+def _is_archive(path: Path) -> bool:
+    """Tell a zip archive that is no file of NumPy or Excel."""
+    from split_cli.logs.readers.numpy_arrays import is_npz
+    from split_cli.logs.readers.spreadsheet import is_spreadsheet
+
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        head = stream.read(len(ZIP_MAGIC))
+    if head == ZIP_MAGIC:
+        refuse_long_list(path)
+    return head == ZIP_MAGIC and not is_npz(path, head) and not is_spreadsheet(path, head)
 
 
 def _is_hdf5(head: bytes) -> bool:
