@@ -34,13 +34,14 @@ from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME, IngestM
 from split_cli.workflows.verifying.verify import verify
 from tests.factories import make_drive, make_training_set, road_car
 from tests.logs import readers_support as support
-from tests.logs import test_readers_motec_ld, test_readers_unpacking
+from tests.logs import test_readers_apart, test_readers_motec_ld, test_readers_unpacking
 from tests.logs.test_readers_third_party import DBC, VBO
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "files"
 SLOW = {"mf4": 0.01, "mf4 bus": 0.005, "dbc": 0.01, "feather": 0.02, "draft": 0.1}
-"""Inputs of a kind against those of the others [1]: Feather, MF4 and a DBC are read in a process of their own, 1
-to 2 s each, and a draft looks at every column in many ways."""
+SLOW |= dict.fromkeys(("xrk", "ulog", "tdms"), 0.02)
+"""Inputs of a kind against those of the others [1]: what a library reads in a process of its own takes 1 to 2 s each,
+and a draft looks at every column in many ways."""
 QUICK = dict.fromkeys(
     ("vbo", "mat 5", "mat 5 structure", "mat 4", "vehicle", "hyperparameters", "trained set", "centre line"), 20.0
 )
@@ -57,7 +58,7 @@ NEWER = tuple(
         can asc in pieces, json rows in pieces, verify drive, verify labels, verify set, verify vehicle,
         verify map, verify diagnosis, json channels, named csv, named json, set of the past, info diagnosis,
         info export, verify manifest, verify document, verify answers, verify drives, motec ld, packed gz, packed bz2,
-        packed xz, packed zst, zip, zip together
+        packed xz, packed zst, zip, zip together, xrk, ulog, tdms
     """.split(",")
 )
 """Kinds that came last, of which `--newer` takes all inputs."""
@@ -70,7 +71,13 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Callable[[Path], object]]]:
     planted = support.plant(40)
     makers = (_messages, _text, _columns, _matlab_and_mdf, _can, rows, tables, _ours)
     kinds = {name: (path, read) for make in makers for name, path, read in make(folder, planted)}
-    more = (frames(folder), packed(folder, planted), in_pieces(kinds, folder), ours_verified(folder))
+    more = (
+        frames(folder),
+        packed(folder, planted),
+        read_apart(folder, planted),
+        in_pieces(kinds, folder),
+        ours_verified(folder),
+    )
     return kinds | {name: (path, read) for made in more for name, path, read in made}
 
 
@@ -397,6 +404,19 @@ def packed(folder: Path, planted: support.Planted) -> Iterator[Kind]:
         return bool(recording.notes)
 
     yield "zip together", test_readers_unpacking.zipped(folder / "parts.zip", parts), joined
+
+
+def read_apart(folder: Path, planted: support.Planted) -> Iterator[Kind]:
+    """What libraries read in processes of their own, where they are installed."""
+    if find_spec("libxrk"):
+        (folder / "lap.xrk").write_bytes(test_readers_apart.aim_log(1.0))
+        yield "xrk", folder / "lap.xrk", read_recording
+    if find_spec("pyulog"):
+        (folder / "lap.ulg").write_bytes(test_readers_apart.ulog(1.0))
+        yield "ulog", folder / "lap.ulg", read_recording
+    if find_spec("nptdms"):
+        test_readers_apart.tdms(folder / "lap.tdms", {"Data": {"t": ({}, np.arange(40.0)), "vx": ({}, planted.vx)}})
+        yield "tdms", folder / "lap.tdms", read_recording
 
 
 def in_pieces(kinds: dict[str, tuple[Path, Callable[[Path], object]]], folder: Path) -> Iterator[Kind]:

@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from split_cli.errors import LogError, NoRecordingError, NoTableError, SplitError
 from split_cli.files import ScratchFolder, refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
+from split_cli.logs.readers.aim import is_aim, open_aim
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.code_pages import utf_16_without_mark
 from split_cli.logs.readers.definitions import Definitions
@@ -23,8 +24,10 @@ from split_cli.logs.readers.motec_ld import is_motec_ld, open_motec_ld
 from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
 from split_cli.logs.readers.novatel import is_novatel, open_novatel
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
+from split_cli.logs.readers.px4 import ULOG_MAGIC, open_ulog
 from split_cli.logs.readers.rewritten_tables import is_rewritten, open_rewritten
 from split_cli.logs.readers.rows_of_kinds import open_rows_of_kinds, titles_of_kinds
+from split_cli.logs.readers.tdms import TDMS_MAGIC, open_tdms
 from split_cli.logs.readers.unpacking import (
     PACKED_SUFFIXES,
     ZIP_MAGIC,
@@ -48,7 +51,7 @@ _MOST_LISTED = 2000
 LOG_SUFFIXES = tuple(
     """
     .mcap .bag .db3 .csv .txt .vbo .parquet .feather .mat .mf4 .mdf .blf .asc .trc .jsonl .ascii .lvm .tsv .arrow
-    .npz .ibt .ld .zip
+    .npz .ibt .ld .xrk .xrz .ulg .tdms .zip
     """.split()
     + list(PACKED_SUFFIXES)
 )
@@ -56,7 +59,6 @@ LOG_SUFFIXES = tuple(
 _FOREIGN_MAGIC = (
     (b"#ROSBAG V1", "a ROS 1 bag of version 1", "Convert it with `rosbag fix` or `rosbag reindex`."),
     (b"\xa3\x95\x80\x80", "an ArduPilot log", "Convert it to a CSV for each message with mavlogdump, for --together."),
-    (b"ULog\x01\x12\x35", "a ULog of PX4", "Convert it with ulog2csv, and name its tables with --together."),
     (b"|CF,", "an imc FAMOS file", "Export it as CSV or MAT."),
     (b"CM-ERG", "a result of CarMaker", "Export it as CSV or MAT."),
     *((begins, "XML", "Export it as CSV.") for begins in (b"<?xml", b"<kml", b"<gpx", b"<osm", b"<!DOCTYPE")),
@@ -66,9 +68,8 @@ _FOREIGN_MAGIC = (
     ),
 )
 _OTHERS = {
-    **dict.fromkeys((".xrk", ".xrz", ".drk"), ("an AiM recording", "Export it from RaceStudio as CSV.")),
+    ".drk": ("an AiM recording of the old kind", "Export it from RaceStudio as CSV."),
     ".rcz": ("a RaceChrono session", "Export it from the app as CSV v3."),
-    ".tdms": ("a TDMS file", "Export it as CSV or MAT."),
     ".erg": ("a result of CarMaker", "Export it as CSV or MAT."),
     ".fit": ("a FIT file", "Export it as CSV."),
     **dict.fromkeys((".pkl", ".pickle"), ("a pickle of Python", "Save it as Parquet or CSV.")),
@@ -89,6 +90,9 @@ _BINARY_SUFFIXES = {
     ".mat": "a MAT file",
     ".ibt": "telemetry of iRacing",
     ".ld": "a MoTeC log",
+    ".ulg": "a log of PX4",
+    ".tdms": "a TDMS file",
+    **dict.fromkeys((".xrk", ".xrz"), "a recording of AiM"),
 }
 
 
@@ -302,6 +306,10 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_ibt(path)
     if is_motec_ld(path, head):
         return open_motec_ld(path)
+    if is_aim(path, head):
+        return open_aim(path)
+    if head.startswith((ULOG_MAGIC, TDMS_MAGIC)):
+        return open_ulog(path) if head.startswith(ULOG_MAGIC) else open_tdms(path)
     if is_pi_toolbox(head):
         return open_pi_toolbox(path)
     if is_json(head):
