@@ -34,7 +34,7 @@ from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME, IngestM
 from split_cli.workflows.verifying.verify import verify
 from tests.factories import make_drive, make_training_set, road_car
 from tests.logs import readers_support as support
-from tests.logs import test_readers_apart, test_readers_motec_ld, test_readers_unpacking
+from tests.logs import test_readers_apart, test_readers_carmaker_erg, test_readers_motec_ld, test_readers_unpacking
 from tests.logs.test_readers_third_party import DBC, VBO
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "files"
@@ -58,7 +58,7 @@ NEWER = tuple(
         can asc in pieces, json rows in pieces, verify drive, verify labels, verify set, verify vehicle,
         verify map, verify diagnosis, json channels, named csv, named json, set of the past, info diagnosis,
         info export, verify manifest, verify document, verify answers, verify drives, motec ld, packed gz, packed bz2,
-        packed xz, packed zst, zip, zip together, xrk, ulog, tdms
+        packed xz, packed zst, zip, zip together, erg, erg info, xrk, ulog, tdms
     """.split(",")
 )
 """Kinds that came last, of which `--newer` takes all inputs."""
@@ -404,6 +404,12 @@ def packed(folder: Path, planted: support.Planted) -> Iterator[Kind]:
         return bool(recording.notes)
 
     yield "zip together", test_readers_unpacking.zipped(folder / "parts.zip", parts), joined
+
+    test_readers_carmaker_erg.written(folder / "lap.erg", test_readers_carmaker_erg.lap(1.0))
+    yield "erg", folder / "lap.erg", read_recording
+    whole = folder / "whole.erg"
+    test_readers_carmaker_erg.written(whole, test_readers_carmaker_erg.lap(1.0))
+    yield "erg info", whole.with_name("whole.erg.info"), lambda path: read_recording(whole)
 
 
 def read_apart(folder: Path, planted: support.Planted) -> Iterator[Kind]:

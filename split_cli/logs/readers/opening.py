@@ -10,6 +10,7 @@ from split_cli.files import ScratchFolder, refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
 from split_cli.logs.readers.aim import is_aim, open_aim
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
+from split_cli.logs.readers.carmaker_erg import ERG_MAGIC, INFO_SUFFIX, open_erg
 from split_cli.logs.readers.code_pages import utf_16_without_mark
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff
@@ -51,7 +52,7 @@ _MOST_LISTED = 2000
 LOG_SUFFIXES = tuple(
     """
     .mcap .bag .db3 .csv .txt .vbo .parquet .feather .mat .mf4 .mdf .blf .asc .trc .jsonl .ascii .lvm .tsv .arrow
-    .npz .ibt .ld .xrk .xrz .ulg .tdms .zip
+    .npz .ibt .ld .erg .xrk .xrz .ulg .tdms .zip
     """.split()
     + list(PACKED_SUFFIXES)
 )
@@ -60,7 +61,6 @@ _FOREIGN_MAGIC = (
     (b"#ROSBAG V1", "a ROS 1 bag of version 1", "Convert it with `rosbag fix` or `rosbag reindex`."),
     (b"\xa3\x95\x80\x80", "an ArduPilot log", "Convert it to a CSV for each message with mavlogdump, for --together."),
     (b"|CF,", "an imc FAMOS file", "Export it as CSV or MAT."),
-    (b"CM-ERG", "a result of CarMaker", "Export it as CSV or MAT."),
     *((begins, "XML", "Export it as CSV.") for begins in (b"<?xml", b"<kml", b"<gpx", b"<osm", b"<!DOCTYPE")),
     *(
         (talker, "a list of NMEA sentences", "They hold position and speed alone. Record a table, with a yaw rate.")
@@ -70,7 +70,6 @@ _FOREIGN_MAGIC = (
 _OTHERS = {
     ".drk": ("an AiM recording of the old kind", "Export it from RaceStudio as CSV."),
     ".rcz": ("a RaceChrono session", "Export it from the app as CSV v3."),
-    ".erg": ("a result of CarMaker", "Export it as CSV or MAT."),
     ".fit": ("a FIT file", "Export it as CSV."),
     **dict.fromkeys((".pkl", ".pickle"), ("a pickle of Python", "Save it as Parquet or CSV.")),
     **dict.fromkeys((".xls", ".xlsb", ".ods"), ("a spreadsheet", "Save it as .xlsx, or export it as CSV.")),
@@ -90,6 +89,7 @@ _BINARY_SUFFIXES = {
     ".mat": "a MAT file",
     ".ibt": "telemetry of iRacing",
     ".ld": "a MoTeC log",
+    ".erg": "a result of CarMaker",
     ".ulg": "a log of PX4",
     ".tdms": "a TDMS file",
     **dict.fromkeys((".xrk", ".xrz"), "a recording of AiM"),
@@ -103,8 +103,9 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     ----------
     path : path-like
         MCAP, rosbag2 folder or ``.db3``, ROS 1 ``.bag``, CSV, Racelogic .vbo, Parquet, Feather, MAT (v4, v5,
-        v7.3), NumPy (.npz, .npy, a folder of arrays), iRacing .ibt, MF4, and logs of CAN frames (BLF,
-        ASC, candump, TRC, MF4 bus logging).
+        v7.3), NumPy (.npz, .npy, a folder of arrays), iRacing .ibt, MoTeC .ld, CarMaker .erg, AiM .xrk, TDMS,
+        ULog, MF4, and logs of CAN frames (BLF, ASC, candump, TRC, MF4 bus logging); any of them compressed, or
+        in a zip archive.
     message_paths : sequence of path-like
         Folders of ``.msg`` files, for message types that the recording does not define, and CAN databases.
 
@@ -306,6 +307,8 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_ibt(path)
     if is_motec_ld(path, head):
         return open_motec_ld(path)
+    if head.startswith(ERG_MAGIC):
+        return open_erg(path)
     if is_aim(path, head):
         return open_aim(path)
     if head.startswith((ULOG_MAGIC, TDMS_MAGIC)):
@@ -391,7 +394,8 @@ def _recordings_in(path: Path, folder: Path) -> list[Path]:
 
 
 def _may_be_read(place: PurePosixPath) -> bool:
-    return place.name == "metadata.yaml" or place.suffix.lower() == ".json" or has_ending(place.name, LOG_SUFFIXES)
+    beside = place.name == "metadata.yaml" or place.suffix.lower() in (".json", INFO_SUFFIX)
+    return beside or has_ending(place.name, LOG_SUFFIXES)
 
 
 def _is_archive(path: Path) -> bool:
