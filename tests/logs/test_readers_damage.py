@@ -178,7 +178,7 @@ def test_a_structure_of_arrow_that_claims_more_rows_than_its_parts_ends_no_proce
         ("letter.txt", b"Dear reader,\nthis is a letter; it has no numbers.\n" * 50, "no table of numbers"),
         ("header.csv", b"t,vx,vy\n", "no table of numbers"),
         ("drive.csv.gz", b"\x1f\x8b\x08\x00" + bytes(100), "cannot be unpacked"),
-        ("flight.ulg", b"ULog\x01\x12\x35\x01" + bytes(100), "ulog2csv"),
+        ("flight.ulg", b"ULog\x01\x12\x35\x01" + bytes(100), "pyulog|damaged|no channel"),
         ("magic.mcap", b"\x89MCAP0\r\n", "no readable message"),
         ("noise.mcap", b"\x89MCAP0\r\n" + np.random.default_rng(0).bytes(4000), "no readable message"),
         ("noise.parquet", b"PAR1" + np.random.default_rng(0).bytes(400), "damaged"),

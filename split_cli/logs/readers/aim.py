@@ -30,10 +30,10 @@ def open_aim(path: Path) -> RawRecording:
     LogError
         If libxrk is not installed, or the file is damaged or holds no samples.
     """
-    return open_apart(path, hand_over, "libxrk", "a recording of AiM", "aim")
+    return open_apart(path, hand_over_aim, "libxrk", "a recording of AiM", "aim")
 
 
-def hand_over(path: Path, folder: str) -> None:
+def hand_over_aim(path: Path, folder: str) -> None:
     """Read a recording and write its columns: what a process of its own does."""
     write_table(path, folder, _read)
 
@@ -46,7 +46,7 @@ def _read(path: Path) -> TableApart:
     with _what_is_printed() as printed:
         log = aim_xrk(str(path))
     columns = []
-    for name, table in log.channels.items():
+    for name, table in sorted(log.channels.items()):  # the parser gives them in no order
         values = table.column(name).to_numpy()
         if values.dtype.kind in "biuf":
             unit = ChannelMetadata.from_channel_table(table).units

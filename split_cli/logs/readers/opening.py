@@ -39,7 +39,7 @@ from split_cli.logs.readers.unpacking import (
     refuse_long_list,
     several_recordings,
     shown_members,
-    unpacked,
+    unpacked_file,
     unzipped,
 )
 from split_cli.logs.readers.yaml_documents import is_yaml_documents, open_yaml_documents
@@ -345,7 +345,7 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
 
 def _open_packed(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     scratch = ScratchFolder()
-    return _from_copy(path, unpacked(path, scratch.path), scratch, message_paths)
+    return _from_copy(path, unpacked_file(path, scratch.path), scratch, message_paths)
 
 
 def _open_archive(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:

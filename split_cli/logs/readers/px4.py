@@ -21,10 +21,10 @@ def open_ulog(path: Path) -> RawRecording:
     LogError
         If pyulog is not installed, or the file is damaged or holds no messages.
     """
-    return open_apart(path, hand_over, "pyulog", "a log of PX4", "px4")
+    return open_apart(path, hand_over_ulog, "pyulog", "a log of PX4", "px4")
 
 
-def hand_over(path: Path, folder: str) -> None:
+def hand_over_ulog(path: Path, folder: str) -> None:
     """Read a log and write its columns: what a process of its own does."""
     write_table(path, folder, _read)
 

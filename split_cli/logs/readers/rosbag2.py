@@ -17,7 +17,7 @@ from split_cli.logs.budget import most_bytes_out
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.mcap import McapContainer
 from split_cli.logs.readers.messages import Container, MessageBatch, Stream, in_batches
-from split_cli.logs.readers.unpacking import unpacked
+from split_cli.logs.readers.unpacking import unpacked_file
 from split_cli.yaml_file import parse_yaml
 
 _LARGEST_METADATA = 16 << 20
@@ -194,7 +194,7 @@ def _opened(path: Path, files: Sequence[Path], packed: bool, notes: list[ReadNot
             refuse_no_regular_file(file, LogError)
             if file.suffix == ".zstd":
                 temporary = temporary or ScratchFolder()
-                file = unpacked(file, temporary.path)
+                file = unpacked_file(file, temporary.path)
             parts.append(McapContainer(file) if file.suffix == ".mcap" else SqliteContainer(file))
         except LogError as error:
             problem = error

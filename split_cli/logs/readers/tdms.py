@@ -27,10 +27,10 @@ def open_tdms(path: Path) -> RawRecording:
     LogError
         If npTDMS is not installed, or the file is damaged or holds no numbers.
     """
-    return open_apart(path, hand_over, "nptdms", "a TDMS file", "tdms")
+    return open_apart(path, hand_over_tdms, "nptdms", "a TDMS file", "tdms")
 
 
-def hand_over(path: Path, folder: str) -> None:
+def hand_over_tdms(path: Path, folder: str) -> None:
     """Read a file and write its columns: what a process of its own does."""
     write_table(path, folder, _read)
 

@@ -61,7 +61,7 @@ def plain_name(name: str) -> str:
     return name[: len(name) - len(ending)] or name
 
 
-def unpacked(path: Path, folder: Path) -> Path:
+def unpacked_file(path: Path, folder: Path) -> Path:
     """Return the content of a compressed file, written to a folder.
 
     Raises
