@@ -8,6 +8,7 @@ import struct
 import numpy as np
 import pytest
 
+from split_cli.cli.main import main
 from split_cli.errors import LogError
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.joint import JointRecording
@@ -147,6 +148,15 @@ def test_a_log_and_a_table_make_one_recording(tmp_path):
     joined = JointRecording([open_recording(tmp_path / name) for name in ("a.ld", "b.csv")])
     found = joined.read(["Ground Speed", "vy"])
     assert found["Ground Speed"].time[-1] == 59.95 and found["vy"].time[-1] == pytest.approx(59.9)
+
+
+def test_a_listing_says_that_each_channel_has_its_clock(tmp_path, capsys):
+    """It said that the time is a column, which nobody finds."""
+    written(tmp_path / "a.ld", lap(2.0))
+    for command in (["info", str(tmp_path / "a.ld")], ["ingest", str(tmp_path / "a.ld"), "--list"]):
+        with pytest.raises(SystemExit, match="0"):
+            main(command)
+        assert "each channel has its own" in capsys.readouterr().out
 
 
 def test_a_folder_is_searched_for_logs(tmp_path):

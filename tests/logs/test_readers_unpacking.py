@@ -3,10 +3,12 @@
 import binascii
 import bz2
 import gzip
+import io
 import json
 import lzma
 import re
 import struct
+import tarfile
 import tempfile
 import zipfile
 
@@ -25,7 +27,6 @@ from split_cli.logs.readers.opening import open_parts, open_recording
 from split_cli.workflows.ingesting.ingest import ingest_logs, open_logs, suggest_map_for
 from split_cli.workflows.ingesting.init import init_project
 from split_cli.workflows.sources import find_sources, left_alone
-from tests.factories import make_drive, road_car
 from tests.logs.test_readers_motec_ld import lap, written
 
 PACKERS = {
@@ -41,8 +42,9 @@ NAMES = ("vx", "vy", "r", "T", "delta")
 @pytest.fixture(scope="module")
 def table():
     """Return a drive's channels as CSV."""
-    drive = make_drive(0, segments=1, seconds=20.0, vehicle=road_car())
-    columns = {"t": drive["t"], **{name: drive[name] for name in NAMES}}
+    t = np.arange(0.0, 20.0, 0.02)
+    speed, rate = 20.0 + 5.0 * np.sin(0.3 * t), 0.3 * np.sin(0.7 * t)
+    columns = {"t": t, "vx": speed, "vy": 0.1 * rate, "r": rate, "T": 800.0 * np.cos(0.3 * t), "delta": 0.1 * rate}
     rows = "\n".join(",".join(f"{value:.9g}" for value in row) for row in zip(*columns.values(), strict=True))
     return (",".join(columns) + "\n" + rows + "\n").encode()
 
@@ -146,7 +148,9 @@ def test_what_is_packed_twice_is_refused(table, tmp_path):
     zipped(tmp_path / "b.csv", {"a.csv": table})
     (tmp_path / "b.csv.gz").write_bytes(gzip.compress((tmp_path / "b.csv").read_bytes()))
     zipped(tmp_path / "c.zip", {"a.csv.gz": gzip.compress(table)})
-    for name in ("a.csv.gz", "b.csv.gz", "c.zip"):
+    # An archive may hold itself.
+    zipped(tmp_path / "d.zip", {"inner.zip": (tmp_path / "b.csv").read_bytes()})
+    for name in ("a.csv.gz", "b.csv.gz", "c.zip", "d.zip"):
         with pytest.raises(LogError, match="is packed twice"):
             open_recording(tmp_path / name)
 
@@ -259,6 +263,23 @@ def test_archives_that_cannot_be_read_are_one_error(table, tmp_path, scratch):
             use(tmp_path / "many.zip")
     assert left_alone([tmp_path])[".zip"] >= 1
     assert list(scratch.iterdir()) == []
+
+
+def test_archives_of_other_kinds_are_named(table, tmp_path):
+    content = io.BytesIO()
+    with tarfile.open(fileobj=content, mode="w") as archive:
+        member = tarfile.TarInfo("lap.csv")
+        member.size = len(table)
+        archive.addfile(member, io.BytesIO(table))
+    for name, packed, said in (
+        ("lap.tar", content.getvalue(), "tar archive, which is not read. Unpack it with `tar -xf`"),
+        ("lap.tar.gz", gzip.compress(content.getvalue()), "^lap.tar.gz: is a tar archive"),
+        ("lap.7z", b"7z\xbc\xaf\x27\x1c" + bytes(40), "pack it as .zip"),
+        ("lap.csv.lz4", b"\x04\x22\x4d\x18" + bytes(40), "lz4 -d"),
+    ):
+        (tmp_path / name).write_bytes(packed)
+        with pytest.raises(LogError, match=said):
+            open_recording(tmp_path / name)
 
 
 def test_a_folder_is_searched_for_packed_recordings_and_archives_of_them(table, tmp_path):

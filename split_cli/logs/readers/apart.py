@@ -126,4 +126,5 @@ def _recording(path: Path, listed: dict[str, Any], scratch: ScratchFolder) -> Ra
 
     infos = [RawChannelInfo(name, "column", count, units[name]) for name, (count, *_) in places.items()]
     notes = [ReadNote(what, path.name, count) for what, count in listed["notes"]]
-    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+    timed = all(time is not None for _, time, _ in places.values())
+    return LazyTableRecording(path.name, path, infos, load, notes=notes, own_clocks=timed)

@@ -100,7 +100,7 @@ def open_motec_ld(path: Path) -> RawRecording:
         return made
 
     infos = [RawChannelInfo(c.name, "column", c.count, symbol_of(c.unit)) for c in channels]
-    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+    return LazyTableRecording(path.name, path, infos, load, notes=notes, own_clocks=True)
 
 
 def _described(content: memoryview, notes: list[ReadNote], where: str) -> list[_LdChannel]:

@@ -60,6 +60,9 @@ LOG_SUFFIXES = tuple(
 _FOREIGN_MAGIC = (
     (b"#ROSBAG V1", "a ROS 1 bag of version 1", "Convert it with `rosbag fix` or `rosbag reindex`."),
     (b"\xa3\x95\x80\x80", "an ArduPilot log", "Convert it to a CSV for each message with mavlogdump, for --together."),
+    (b"7z\xbc\xaf\x27\x1c", "a 7z archive", "Unpack it, or pack it as .zip."),
+    (b"Rar!\x1a\x07", "a RAR archive", "Unpack it, or pack it as .zip."),
+    (b"\x04\x22\x4d\x18", "compressed with lz4", "Unpack it with `lz4 -d`."),
     (b"|CF,", "an imc FAMOS file", "Export it as CSV or MAT."),
     *((begins, "XML", "Export it as CSV.") for begins in (b"<?xml", b"<kml", b"<gpx", b"<osm", b"<!DOCTYPE")),
     *(
@@ -239,6 +242,8 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     for magic, what, advice in _FOREIGN_MAGIC:
         if head.startswith(magic):
             raise LogError(f"is {what}, which is not read", where=path.name, advice=advice)
+    if head[257:262] == b"ustar":
+        raise LogError("is a tar archive, which is not read", where=path.name, advice="Unpack it with `tar -xf`.")
     called = _BINARY_SUFFIXES.get(path.suffix.lower())
     if called and path.suffix.lower() != ".dat":
         raise LogError(
@@ -368,7 +373,7 @@ def _from_copy(
             return UnpackedRecording(_open_folder(copy, message_paths), path, called, scratch)
         with copy.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
-        if is_packed(head) or (path.suffix.lower() != ".zip" and _is_archive(copy)):
+        if is_packed(head) or _is_archive(copy):
             raise LogError("is packed twice", where=name, advice="Unpack it once.")
         return UnpackedRecording(_open_file(copy, message_paths), path, called, scratch)
     except SplitError as error:
