@@ -10,9 +10,11 @@ import pytest
 
 from split_cli.cli.main import main
 from split_cli.errors import LogError
+from split_cli.logs.assembling.gather import fitting_presets, gather
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.joint import JointRecording
 from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.signal_map import read_map
 from split_cli.workflows.sources import find_sources
 
 FIRST, ENTRY = 0x3448, 124
@@ -148,6 +150,17 @@ def test_a_log_and_a_table_make_one_recording(tmp_path):
     joined = JointRecording([open_recording(tmp_path / name) for name in ("a.ld", "b.csv")])
     found = joined.read(["Ground Speed", "vy"])
     assert found["Ground Speed"].time[-1] == 59.95 and found["vy"].time[-1] == pytest.approx(59.9)
+
+
+def test_the_preset_for_exports_takes_the_log_itself(tmp_path):
+    """Its map names the column of time that an export has."""
+    made = lap()
+    written(tmp_path / "a.ld", made)
+    recording = open_recording(tmp_path / "a.ld")
+    assert fitting_presets(recording) == ("motec",)
+    (speed,) = gather(recording, read_map(["motec"])).series["vx"]
+    np.testing.assert_allclose(speed.values, made["Ground Speed"][2] / 36.0, rtol=1e-12)
+    np.testing.assert_allclose(speed.time, np.arange(1200) / 20.0, atol=1e-9)
 
 
 def test_a_listing_says_that_each_channel_has_its_clock(tmp_path, capsys):
