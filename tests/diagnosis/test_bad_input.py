@@ -155,9 +155,8 @@ def test_a_file_that_is_off_for_the_simulation_as_well_speaks_of_no_other_car(re
 
 
 def test_front_wheels_that_slide_on_ice_make_no_other_car(real):
-    """On two fifths of the road the wheels are turned by 0.3 rad more, and the car turns as before."""
-    on_ice = real.segment % 5 < 2
-    turned = real["delta"] + 0.3 * np.where(on_ice, np.sign(real["r"]), 0.0)
+    """On three fifths of the road the wheels are turned five times as far as the turn needs, up to 0.45 rad."""
+    turned = np.where(real.segment % 5 < 3, np.clip(5.0 * real["delta"], -0.45, 0.45), real["delta"])
     assert unfit(altered(real, delta=turned), road_car()) == []
 
 
