@@ -20,11 +20,6 @@ from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-_SHORTEST = 1e-3
-"""Relaxation length below which tyre forces build up at once [m]; the shortest of a model car is 30 times that."""
-_SLOWEST = 0.1
-"""Least speed at which wheels are taken to roll [m/s]; below it no row is compared."""
-
 
 @dataclass(frozen=True)
 class Linearisation:
@@ -76,13 +71,14 @@ def linearise(vehicle: Vehicle, series: Series, shared_terms: Sequence[Term] = (
     at = (*series.predicted.T, series.torque, series.steer_angle)
     where = {"yaw": series.yaw, "t": series.t, "s": series.s}
     jacobian = SingleTrack(vehicle, rest).velocity_jacobian(*at, **where)
-    if length < _SHORTEST:
-        return Linearisation(jacobian, jacobian, None, series.recording)
     late = relaxation({"length": length})
-    held = {name: np.zeros(len(series)) for name in SingleTrack(vehicle, (*rest, late)).state_names}
-    immediate = SingleTrack(vehicle, (*rest, late)).velocity_jacobian(*at, **where, states=held)
-    rate = np.maximum(np.abs(series.predicted[:, 0]), _SLOWEST) / length
-    return Linearisation(jacobian, immediate, rate, series.recording)
+    by_speed = late.fastest_rate(1.0)  # 0 for a length so short that forces build up at once
+    if by_speed == 0.0:
+        return Linearisation(jacobian, jacobian, None, series.recording)
+    model = SingleTrack(vehicle, (*rest, late))
+    held = {name: np.zeros(len(series)) for name in model.state_names}
+    immediate = model.velocity_jacobian(*at, **where, states=held)
+    return Linearisation(jacobian, immediate, by_speed * np.abs(series.predicted[:, 0]), series.recording)
 
 
 def _times(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:
