@@ -87,6 +87,33 @@ def noise_model(linear: Linearisation) -> NoiseModel:
 
 
 @njit(cache=True, nogil=True)
+def inverse_factor(E, L, inverse):
+    """Write the inverse of the Cholesky factor of E, shape (3, 3), and return log det E.
+
+    `L` has room for the factor. The upper parts of `L` and `inverse` have to be zero, and stay so.
+    """
+    log_determinant = 0.0
+    for i in range(3):
+        for j in range(i + 1):
+            total = E[i, j]
+            for m in range(j):
+                total -= L[i, m] * L[j, m]
+            if i == j:
+                L[i, i] = np.sqrt(max(total, 1e-300))
+            else:
+                L[i, j] = total / L[j, j]
+    for i in range(3):
+        log_determinant += 2.0 * np.log(L[i, i])
+        inverse[i, i] = 1.0 / L[i, i]
+        for j in range(i):
+            total = 0.0
+            for m in range(j, i):
+                total -= L[i, m] * inverse[m, j]
+            inverse[i, j] = total / L[i, i]
+    return log_determinant
+
+
+@njit(cache=True, nogil=True)
 def gains_with_memory(carry, onward, R, Q, begins, into, kept, times, first):
     """Return K of n, (N - 1, 3, 3), of phi, the same, roots of the innovations' inverse covariances, and their log det.
 
@@ -146,23 +173,7 @@ def gains_with_memory(carry, onward, R, Q, begins, into, kept, times, first):
                 for m in range(6):
                     total += H[i, m] * G[m, j]
                 E[i, j] = total
-        for i in range(3):
-            for j in range(i + 1):
-                total = E[i, j]
-                for m in range(j):
-                    total -= L[i, m] * L[j, m]
-                if i == j:
-                    L[i, i] = np.sqrt(max(total, 1e-300))
-                else:
-                    L[i, j] = total / L[j, j]
-        for i in range(3):
-            log_determinant += 2.0 * np.log(L[i, i])
-            root[k, i, i] = 1.0 / L[i, i]
-            for j in range(i):
-                total = 0.0
-                for m in range(j, i):
-                    total -= L[i, m] * root[k, m, j]
-                root[k, i, j] = total / L[i, i]
+        log_determinant += inverse_factor(E, L, root[k])
         for i in range(3):
             for j in range(3):
                 total = 0.0

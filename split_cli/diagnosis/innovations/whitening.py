@@ -14,7 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from split_cli.diagnosis.innovations.noise_memory import NoiseMemory, NoiseModel, gains_with_memory, whiten_with_memory
+from split_cli.diagnosis.innovations.noise_memory import (
+    NoiseMemory,
+    NoiseModel,
+    gains_with_memory,
+    inverse_factor,
+    whiten_with_memory,
+)
 
 
 @dataclass(frozen=True)
@@ -182,25 +188,8 @@ def _gains(carry, onward, R, Q, begins):
                 E[i, j] = Q[i, j]
                 for m in range(3):
                     E[i, j] += PR[i, m] * P[j, m] + NS[i, m] * N[j, m]
-        for i in range(3):
-            for j in range(i + 1):
-                total = E[i, j]
-                for m in range(j):
-                    total -= L[i, m] * L[j, m]
-                if i == j:
-                    L[i, i] = np.sqrt(max(total, 1e-300))
-                else:
-                    L[i, j] = total / L[j, j]
-        for i in range(3):
-            log_determinant += 2.0 * np.log(L[i, i])
         inverse = root[k]
-        for i in range(3):
-            inverse[i, i] = 1.0 / L[i, i]
-            for j in range(i):
-                total = 0.0
-                for m in range(j, i):
-                    total -= L[i, m] * inverse[m, j]
-                inverse[i, j] = total / L[i, i]
+        log_determinant += inverse_factor(E, L, inverse)
         # K = (P R)^T E^-1, and E^-1 = L^-T L^-1.
         _product(inverse, PR, scaled)
         K = gain[k]
