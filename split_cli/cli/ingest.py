@@ -278,7 +278,8 @@ def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
             arrays = {line.name: line.example for line in lines if line.example}
             described.append({**listed, "arrays": arrays, "notes": list(recording.notes)})
             continue
-        shown, known = " + ".join(names), ", ".join(clocks) or "none, time is a column"
+        alone = "each channel has its own" if getattr(recording, "own_clocks", False) else "none, time is a column"
+        shown, known = " + ".join(names), ", ".join(clocks) or alone
         click.echo(f"{shown}: {len(channels)} channels; clocks: {known}")
         rows = [[line.name, line.info.type_name, line.info.count, line.info.unit] for line in lines]
         shared.print_table(["channel", "type", "count", "unit"], rows)

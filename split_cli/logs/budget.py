@@ -8,6 +8,9 @@ _MULTIPLE = 300
 """Bytes out for a byte in [1]; theory: lz4 reaches 255, a column that never changes comes near."""
 _AT_MOST = 2 << 30
 """Of one chunk or variable [bytes]; theory: sizes in these formats are 32 bit, and half of that is a sign."""
+MOST_OF_A_FILE = 60
+"""Bytes out for a byte in, of a whole compressed file or archive [1]; judgement: recordings of a car that stands reach
+20, and what is within `ALWAYS` is allowed to any."""
 MOST_FIELDS = 20_000
 """Numbers in one message type [1]; judgement: the largest of ROS has some 300, a full lidar's header 2,000."""
 LONGEST_NAME = 500
@@ -18,6 +21,11 @@ repeats the names above it, and a chunk may unfold into a name of megabytes."""
 def most_bytes_out(bytes_in: int) -> int:
     """Return how many bytes `bytes_in` compressed ones may become: at least 64 MB, 300 to one, at most 2 GB."""
     return min(max(ALWAYS, _MULTIPLE * bytes_in), _AT_MOST)
+
+
+def most_bytes_of_file(bytes_in: int) -> int:
+    """Return how many bytes a compressed file or archive of `bytes_in` may become: at least 64 MB, 60 to one."""
+    return max(ALWAYS, MOST_OF_A_FILE * bytes_in)
 
 
 class Unfolded:

@@ -147,6 +147,7 @@ class LazyTableRecording:
     origin: float = 0.0
     clocks: tuple[Clock, ...] = ()
     notes: list[ReadNote] = field(default_factory=list)
+    own_clocks: bool = False  # whether each column has times of its own, so that none is the time of all
     # Returns of a column of text a number for each row, shape (N,), and the texts that these numbers stand for.
     texts: Callable[[str], tuple[np.ndarray, list[str]]] | None = None
 

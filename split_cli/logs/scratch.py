@@ -149,7 +149,7 @@ class GrowingColumn:
         if self._file is None and count > len(self._values):
             self._grow(count)
         if self._file is not None:
-            with _full_disk_as_error():
+            with full_disk_as_error():
                 self._file.write(np.ascontiguousarray(values, dtype=self._values.dtype).data)
             return
         self._values[self._count : count] = values
@@ -160,7 +160,7 @@ class GrowingColumn:
         if self._file is None:
             found = self._values[: self._count]
             return found if self._count >= LONG else found.copy()
-        with _full_disk_as_error(), self._file as file:
+        with full_disk_as_error(), self._file as file:
             return _mapped(file, self._values.dtype)
 
     def _grow(self, count: int) -> None:
@@ -169,7 +169,7 @@ class GrowingColumn:
         held = self._values[: self._count]
         more = room * held.itemsize - self._values.nbytes
         if room > LONG and (room > self._longest or _foreseen_bytes() + more > FORESEEN_BYTES):
-            with _full_disk_as_error():
+            with full_disk_as_error():
                 self._file = tempfile.TemporaryFile()  # noqa: SIM115 (grows from call to call)
                 self._file.write(held.data)
             self._values = np.empty(0, held.dtype)
@@ -223,7 +223,8 @@ class GrowingSignal:
 
 
 @contextlib.contextmanager
-def _full_disk_as_error() -> Iterator[None]:
+def full_disk_as_error() -> Iterator[None]:
+    """Turn what the system raises while a temporary file is written into an error with the way out."""
     try:
         yield
     except OSError as error:

@@ -266,7 +266,8 @@ def _recording(path: Path) -> FileDescription:
 
     recording = open_recording(path)
     lines = listed_channels(recording)
-    facts = [("clocks", ", ".join(recording.clocks) or "a column"), ("channels", str(len(recording.channels())))]
+    alone = "each channel has its own" if getattr(recording, "own_clocks", False) else "a column"
+    facts = [("clocks", ", ".join(recording.clocks) or alone), ("channels", str(len(recording.channels())))]
     for line in lines[:_MOST_LINES]:
         count = "" if line.info.count is None else f"{line.info.count} x "
         unit = f" [{line.info.unit}]" if line.info.unit else ""

@@ -15,14 +15,8 @@ from typing import Any
 from split_cli.errors import SplitError, reason_of
 from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.logs.readers.numpy_arrays import is_array_folder
-from split_cli.logs.readers.opening import is_list_of_rows, is_prose
+from split_cli.logs.readers.opening import LOG_SUFFIXES, has_ending, is_log
 
-LOG_SUFFIXES = tuple(
-    """
-    .mcap .bag .db3 .csv .txt .vbo .parquet .feather .mat .mf4 .mdf .blf .asc .trc .jsonl .ascii .lvm .tsv .arrow
-    .mcap.zstd .db3.zstd .npz .ibt
-    """.split()
-)
 DRIVE_SUFFIXES = (".parquet", ".pq", ".csv")
 _COPY_BYTES = 1 << 22
 
@@ -243,12 +237,12 @@ def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = Non
             system, path = _system(text)
             with _in_one_line(text):
                 below = system.find(path) if not glob.has_magic(path) and system.isdir(path) else []
-            others = [name for name in below if not name.lower().endswith(LOG_SUFFIXES)]
+            others = [name for name in below if not _is_taken(name, LOG_SUFFIXES)]
             places = [PurePosixPath(name.removeprefix(path).lstrip("/")) for name in others]
         else:
             folder = Path(text)
             below = [p for p in _files_below(folder) if outside is None or not _is_below(str(p), outside)]
-            places = [p.relative_to(folder) for p in below if not _is_one_of(p, LOG_SUFFIXES)]
+            places = [p.relative_to(folder) for p in below if not is_log(p, LOG_SUFFIXES)]
         counts.update(place.suffix.lower() or "no ending" for place in places if not _hidden(place))
     return dict(counts.most_common())
 
@@ -304,22 +298,9 @@ def _in_folder(folder: Path, base: Path, suffixes: Sequence[str]) -> list[Source
                 found.append(SourceFile(str(entry), _place(entry, base)))
             elif not entry.is_symlink():
                 found += _in_folder(entry, base, suffixes)
-        elif _is_one_of(entry, suffixes):
+        elif is_log(entry, suffixes):
             found.append(SourceFile(str(entry), _place(entry, base)))
     return found
-
-
-def _is_one_of(path: Path, suffixes: Sequence[str]) -> bool:
-    """Tell whether a file is of one of the kinds; a text must hold rows of numbers, and JSON a list of objects.
-
-    Settings are written as one object. Phones write a table about the device beside those of their sensors.
-    """
-    if path.suffix.lower() == ".json":
-        # Of another file system the content is not looked at, and none is taken there.
-        return ".jsonl" in suffixes and path.is_file() and is_list_of_rows(path)
-    if not path.name.lower().endswith(tuple(suffixes)):
-        return False
-    return not (path.suffix.lower() in (".txt", ".csv") and path.is_file() and is_prose(path))
 
 
 def _place(path: Path, base: Path) -> str:
@@ -343,11 +324,16 @@ def _is_bag(path: Path) -> bool:
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return path.is_dir()
     shown = (entry for entry in path.iterdir() if not entry.name.startswith("."))
-    logs = [entry for entry in shown if _is_one_of(entry, LOG_SUFFIXES)]
+    logs = [entry for entry in shown if is_log(entry, LOG_SUFFIXES)]
     parts = {re.sub(r"(_\d+)?\.db3(\.zstd)?$", "", log.name.lower()) for log in logs}
     if any(log.suffix.lower() != ".txt" for log in logs):
         return len(parts) == 1 and all(log.name.lower().endswith((".db3", ".db3.zstd")) for log in logs)
     return is_array_folder(path)
+
+
+def _is_taken(name: str, suffixes: Sequence[str]) -> bool:
+    """Tell a file of another file system by its name; what an archive holds would have to be looked at."""
+    return has_ending(name, suffixes) and not name.lower().endswith(".zip")
 
 
 def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
@@ -361,7 +347,7 @@ def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
             base = path if kinds[path] == "directory" else path.rpartition("/")[0]
         hits = {hit for hit, kind in kinds.items() if kind != "directory"}
         folders = set(kinds) - hits
-        hits |= {f for one in folders for f in system.find(one) if f.lower().endswith(tuple(suffixes))}
+        hits |= {f for one in folders for f in system.find(one) if _is_taken(f, suffixes)}
     sources = []
     for hit in sorted(hits):
         place = hit.removeprefix(base).lstrip("/")

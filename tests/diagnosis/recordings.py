@@ -10,6 +10,8 @@ from split_cli.diagnosis import engine
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, rolling
+from split_cli.diagnosis.innovations.linearisation import linearise
+from split_cli.diagnosis.innovations.noise_memory import noise_model
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, build_objective
 from split_cli.diagnosis.innovations.whitening import build_whitener
 from split_cli.diagnosis.policy import STANDARD, Policy
@@ -147,7 +149,7 @@ def prepared(drive: Drive, role: str = "real") -> Series:
 def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
     """Return evidence of a known disturbance, without the shared discrepancy's columns: for many replicates."""
     car = road_car()
-    jacobian = SingleTrack(car).velocity_jacobian(*series.predicted.T, series.torque, series.steer_angle)
+    linear = linearise(car, series)
     rows = 4
     group, at = np.full(len(series) - 1, -1, dtype=np.int64), []
     for begin, end in series.recording.segments:
@@ -155,11 +157,13 @@ def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
         group[begin : begin + rows * count] = len(at) + np.repeat(np.arange(count), rows)
         at += list(begin + rows // 2 + rows * np.arange(count))
     strength = disturbance * np.array([1.0, 1.0, car.mass / car.yaw_inertia])
-    whitener = build_whitener(jacobian, series.period, series.noise, strength, series.transitions_begin(), group)
+    whitener = build_whitener(
+        noise_model(linear), series.noise, strength, series.period, series.transitions_begin(), group
+    )
     evidence = Evidence(
         car,
         series,
-        jacobian,
+        linear,
         whitener,
         np.zeros((len(at), 3)),
         np.zeros((len(at), 3, 0)),

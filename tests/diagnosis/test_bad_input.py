@@ -154,6 +154,12 @@ def test_a_file_that_is_off_for_the_simulation_as_well_speaks_of_no_other_car(re
     assert len(unfit(worse, road_car(), simulated=[simulated])) == 1
 
 
+def test_front_wheels_that_slide_on_ice_make_no_other_car(real):
+    """On three fifths of the road the wheels are turned five times as far as the turn needs, up to 0.45 rad."""
+    turned = np.where(real.segment % 5 < 3, np.clip(5.0 * real["delta"], -0.45, 0.45), real["delta"])
+    assert unfit(altered(real, delta=turned), road_car()) == []
+
+
 def test_a_turned_sign_is_suspected(real):
     (reason,) = unfit(altered(real, delta=-real["delta"]), road_car())
     assert "sign may be turned" in reason

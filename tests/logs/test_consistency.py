@@ -454,3 +454,12 @@ def test_wheel_speeds_of_motors_blame_no_speed_of_the_car(drive, factor, words):
     found = check_consistency(one_run(columns, 0.01), drive.vehicle, {}).findings
     assert {finding.channel for finding in found} == {f"wheel_speed_{corner}" for corner in ("fl", "fr", "rl", "rr")}
     assert all(words in finding.text and "decides" not in finding.text for finding in found)
+
+
+def test_channels_that_never_change_have_no_direction_of_travel():
+    """A pose that stands still beside a v_x that does not ended in an internal error."""
+    columns = {name: np.zeros(1000) for name in ("X", "Y", "yaw")}
+    still = one_run({"vx": np.full(1000, 0.7), **columns}, 0.02)
+    found = check_consistency(still, road_car(), {}).findings
+    assert {f.channel for f in found if "never changes" in f.text} >= {"yaw", "vx"}
+    assert not [f for f in found if f.check == "direction"]

@@ -236,9 +236,9 @@ def test_a_clock_of_xsens_counts_tenths_of_milliseconds(planted, tmp_path):
 
 def test_files_of_other_programs_are_named_with_the_way_out(tmp_path):
     for name, head, told in (
-        ("a.zip", b"PK\x03\x04", "zip"),
-        ("a.xrk", b"<hCNF", "RaceStudio"),
-        ("a.ld", b"@", "i2"),
+        ("a.zip", b"PK\x03\x04", "cannot be unpacked"),
+        ("a.drk", b"<h", "RaceStudio"),
+        ("a.ld", b"@", "a MoTeC log"),
         ("a.ibt", b"\x02", "of iRacing"),
     ):
         (tmp_path / name).write_bytes(head + bytes(64))

@@ -26,6 +26,7 @@ from split_cli.logs.presets import preset_path
 from split_cli.logs.readers import can as can_reader
 from split_cli.logs.readers import open_recording
 from split_cli.logs.readers.joint import JointRecording
+from split_cli.logs.readers.opening import open_parts
 from split_cli.logs.signal_map import read_map
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle, write_vehicle
 from split_cli.workflows.info import describe_file
@@ -33,12 +34,14 @@ from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME, IngestM
 from split_cli.workflows.verifying.verify import verify
 from tests.factories import make_drive, make_training_set, road_car
 from tests.logs import readers_support as support
+from tests.logs import test_readers_apart, test_readers_carmaker_erg, test_readers_motec_ld, test_readers_unpacking
 from tests.logs.test_readers_third_party import DBC, VBO
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "files"
 SLOW = {"mf4": 0.01, "mf4 bus": 0.005, "dbc": 0.01, "feather": 0.02, "draft": 0.1}
-"""Inputs of a kind against those of the others [1]: Feather, MF4 and a DBC are read in a process of their own, 1
-to 2 s each, and a draft looks at every column in many ways."""
+SLOW |= dict.fromkeys(("xrk", "ulog", "tdms"), 0.02)
+"""Inputs of a kind against those of the others [1]: what a library reads in a process of its own takes 1 to 2 s each,
+and a draft looks at every column in many ways."""
 QUICK = dict.fromkeys(
     ("vbo", "mat 5", "mat 5 structure", "mat 4", "vehicle", "hyperparameters", "trained set", "centre line"), 20.0
 )
@@ -54,7 +57,8 @@ NEWER = tuple(
         mcap json in pieces, bag in pieces, db3 in pieces, mat 5 in pieces, mat 7.3 in pieces, csv in pieces,
         can asc in pieces, json rows in pieces, verify drive, verify labels, verify set, verify vehicle,
         verify map, verify diagnosis, json channels, named csv, named json, set of the past, info diagnosis,
-        info export, verify manifest, verify document, verify answers, verify drives
+        info export, verify manifest, verify document, verify answers, verify drives, motec ld, packed gz, packed bz2,
+        packed xz, packed zst, zip, zip together, erg, erg info, xrk, ulog, tdms
     """.split(",")
 )
 """Kinds that came last, of which `--newer` takes all inputs."""
@@ -67,7 +71,13 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Callable[[Path], object]]]:
     planted = support.plant(40)
     makers = (_messages, _text, _columns, _matlab_and_mdf, _can, rows, tables, _ours)
     kinds = {name: (path, read) for make in makers for name, path, read in make(folder, planted)}
-    more = (frames(folder), in_pieces(kinds, folder), ours_verified(folder))
+    more = (
+        frames(folder),
+        packed(folder, planted),
+        read_apart(folder, planted),
+        in_pieces(kinds, folder),
+        ours_verified(folder),
+    )
     return kinds | {name: (path, read) for made in more for name, path, read in made}
 
 
@@ -364,6 +374,55 @@ def frames(folder: Path) -> Iterator[Kind]:
         "time,addr,bus,data\n" + "".join(f"{0.01 * k},0x101,0,0x{d.hex()}\n" for k, d in enumerate(payloads))
     )
     yield "can cabana", cabana, read
+
+
+def packed(folder: Path, planted: support.Planted) -> Iterator[Kind]:
+    """A log of MoTeC, and tables in compressed files and archives."""
+    lap = test_readers_motec_ld.lap(4.0)
+    test_readers_motec_ld.written(folder / "lap.ld", lap)
+    yield "motec ld", folder / "lap.ld", read_recording
+    columns = zip(planted.vx, planted.vy, planted.r, strict=True)
+    rows = "".join(f"{0.01 * k:.2f},{x},{y},{r}\n" for k, (x, y, r) in enumerate(columns))
+    content = f"t [s],vx [m/s],vy [m/s],r [rad/s]\n{rows}".encode()
+    for ending, pack in test_readers_unpacking.PACKERS.items():
+        if ending != ".zstd":
+            path = folder / f"packed.csv{ending}"
+            path.write_bytes(pack(content))
+            yield f"packed {ending[1:]}", path, read_recording
+    yield (
+        "zip",
+        test_readers_unpacking.zipped(
+            folder / "lap.zip", {"lap.csv": content, "README.txt": "Car 7, wind from the left.\n"}
+        ),
+        read_recording,
+    )
+    parts = {"lap.csv": content, "gyro.csv": content.replace(b"v", b"w"), "setup.json": "{}"}
+
+    def joined(path: Path) -> bool:
+        recording = JointRecording(open_parts(path))
+        recording.read([info.name for info in recording.channels()])
+        return bool(recording.notes)
+
+    yield "zip together", test_readers_unpacking.zipped(folder / "parts.zip", parts), joined
+
+    test_readers_carmaker_erg.written(folder / "lap.erg", test_readers_carmaker_erg.lap(1.0))
+    yield "erg", folder / "lap.erg", read_recording
+    whole = folder / "whole.erg"
+    test_readers_carmaker_erg.written(whole, test_readers_carmaker_erg.lap(1.0))
+    yield "erg info", whole.with_name("whole.erg.info"), lambda path: read_recording(whole)
+
+
+def read_apart(folder: Path, planted: support.Planted) -> Iterator[Kind]:
+    """What libraries read in processes of their own, where they are installed."""
+    if find_spec("libxrk"):
+        (folder / "lap.xrk").write_bytes(test_readers_apart.aim_log(1.0))
+        yield "xrk", folder / "lap.xrk", read_recording
+    if find_spec("pyulog"):
+        (folder / "lap.ulg").write_bytes(test_readers_apart.ulog(1.0))
+        yield "ulog", folder / "lap.ulg", read_recording
+    if find_spec("nptdms"):
+        test_readers_apart.tdms(folder / "lap.tdms", {"Data": {"t": ({}, np.arange(40.0)), "vx": ({}, planted.vx)}})
+        yield "tdms", folder / "lap.tdms", read_recording
 
 
 def in_pieces(kinds: dict[str, tuple[Path, Callable[[Path], object]]], folder: Path) -> Iterator[Kind]:

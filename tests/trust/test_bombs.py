@@ -1,12 +1,15 @@
 """Files that unfold into more than a computer holds are refused, in bounded memory and time."""
 
 import bz2
+import io
+import lzma
 import os
 import sqlite3
 import struct
 import subprocess
 import sys
 import time
+import zipfile
 import zlib
 from pathlib import Path
 
@@ -72,6 +75,34 @@ def test_a_chunk_of_mcap_unfolds_into_what_it_claims_at_most(tmp_path, compressi
     packed = zeros if compression == b"zstd" else lz4.frame.compress(bytes(64 << 20))
     path = mcap_with_chunk(tmp_path / "bomb.mcap", compression, packed, claimed)
     assert "refused" in opened_within_memory(path)
+
+
+def zip_of_zeros(megabytes: int) -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        for half in ("a.csv", "b.csv"):
+            archive.writestr(half, bytes(megabytes << 19))
+    return content.getvalue()
+
+
+@pytest.mark.parametrize("kind", ["gz", "bz2", "xz", "zst", "zip"])
+def test_a_packed_file_unfolds_within_its_bound_and_leaves_nothing(tmp_path, monkeypatch, kind):
+    """Of an archive all files together; each is below the 64 MB that any file may unfold into."""
+    engines = {
+        "gz": lambda: zlib.compressobj(wbits=31),
+        "bz2": bz2.BZ2Compressor,
+        "xz": lambda: lzma.LZMACompressor(preset=0),
+        "zst": lambda: zstandard.ZstdCompressor().compressobj(),
+    }
+    packed = zip_of_zeros(100) if kind == "zip" else zeros_packed(engines[kind](), 100)
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    path = tmp_path / (f"bomb.{kind}" if kind == "zip" else f"bomb.csv.{kind}")
+    path.write_bytes(packed)
+    said = opened_within_memory(path)
+    assert "refused" in said and "unpacks into over 60 times its size" in said
+    assert not [file for file in temporary.rglob("*") if file.is_file() and "compiled" not in str(file)]
 
 
 def test_a_chunk_of_a_bag_unfolds_within_its_budget(tmp_path):

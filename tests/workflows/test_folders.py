@@ -294,6 +294,17 @@ def test_a_damaged_manifest_says_what_to_do(archive, tmp_path):
         ingest_logs([archive], tmp_path / "drives")
 
 
+def test_packed_logs_of_another_file_system_are_found_by_name(tmp_path):
+    """What an archive holds would have to be looked at: it has to be named."""
+    (tmp_path / "logs").mkdir()
+    for name in ("a.csv.gz", "b.mcap.zst", "notes.md.gz", "c.zip"):
+        (tmp_path / "logs" / name).write_text("")
+    fsspec.filesystem("memory").put(str(tmp_path / "logs"), "/packed", recursive=True)
+    assert [source.place for source in find_sources(["memory://packed"])] == ["a.csv.gz", "b.mcap.zst"]
+    assert left_alone(["memory://packed"]) == {".gz": 1, ".zip": 1}
+    assert [source.place for source in find_sources(["memory://packed/c.zip"])] == ["c.zip"]
+
+
 def test_memory_is_a_file_system_too(logs, tmp_path):
     system = fsspec.filesystem("memory")
     system.put(str(logs), "/archive", recursive=True)

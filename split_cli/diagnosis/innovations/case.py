@@ -120,10 +120,9 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
                 break
         return found, evidence
 
-    shared, simulated = with_shared_terms(by_role["sim"])
-    # Without a simulation nothing is shared; the terms only say which states follow from earlier samples.
-    predicting = shared.shared_terms if simulated else with_shared_terms(by_role["real"])[0].shared_terms
-    discrepancy = shared
+    discrepancy, simulated = with_shared_terms(by_role["sim"])
+    # Which states follow from earlier samples depends on what each car has itself.
+    predicting = with_shared_terms(by_role["real"])[0].shared_terms
     real, holdout = (
         map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules, predicting), by_role[role])
         for role in ("real", "holdout")

@@ -14,6 +14,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.cache import RecentResults
 from split_cli.diagnosis.innovations.linearisation import Linearisation, linearise
+from split_cli.diagnosis.innovations.noise_memory import noise_model
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener, cost_by_disturbance
 from split_cli.diagnosis.policy import STANDARD, Believing
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, predicted_by_model
@@ -149,7 +150,7 @@ def gather_evidence(
     predicting = discrepancy.shared_terms if predicting is None else predicting
     series = predicted_by_model(series, vehicle, _samples_of_a_row(series), predicting)
     linear = linearise(vehicle, series, predicting)
-    jacobian = linear.of_noise()
+    model = noise_model(linear)
     rates = series.rates(extended_model(vehicle, discrepancy.shared_terms))
     plain = motion(series, linear, series.measured, series.predicted) - integrated(series, rates)
     group, at = _row_groups(series)
@@ -161,14 +162,14 @@ def gather_evidence(
     held = discrepancy.size(series) <= _KEPT_BYTES
     held_blocks = list(_integrated_blocks(series, discrepancy)) if held else []
     for _ in range(2):
-        whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
+        whitener = build_whitener(model, series.stated_noise, disturbance, series.period, begins, group)
         columns = _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy))
         w = _discrepancy_weights(whitener(plain), columns, kept)
         left = plain - integrated(series, discrepancy.rates(series, w))
-        disturbance = _likely_disturbance(series, jacobian, left, begins, rolls, disturbance)
+        disturbance = _likely_disturbance(series, model, left, begins, rolls, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
-    whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
+    whitener = build_whitener(model, series.stated_noise, disturbance, series.period, begins, group)
     u, phi = whitener(plain), _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy))
     left = u - phi @ _discrepancy_weights(u, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
@@ -185,10 +186,10 @@ def rewhitened_with_noise(
     """
     series = one.series
     whitener = build_whitener(
-        one.linear.of_noise(),
-        series.period,
+        noise_model(one.linear),
         np.maximum(series.stated_noise, noise),
         np.maximum(one.disturbance, disturbance),
+        series.period,
         one.whitener.begins,
         one.whitener.group,
     )
@@ -282,19 +283,18 @@ def _robust_weight(rows: np.ndarray, most: float) -> np.ndarray:
     return np.sqrt(np.minimum(1.0, most / np.maximum(worst, 1e-12)))
 
 
-def _likely_disturbance(series, jacobian, defect, begins, rolls, start) -> np.ndarray:
+def _likely_disturbance(series, model, defect, begins, rolls, start) -> np.ndarray:
     """Return the disturbance's variance per second, (3,), of largest likelihood on at most `_TUNING_ROWS` samples.
 
     A search in powers of ten, channel by channel, on defects that are clipped at six robust deviations.
     """
     used = np.flatnonzero(rolls[1:])[:_TUNING_ROWS]
     begins = begins[used] | (np.diff(used, prepend=used[0]) > 1)
-    jacobian = jacobian[np.append(used, used[-1] + 1)]
     clipped = defect[used]
     spread = 6.0 * 1.4826 * np.median(np.abs(clipped), axis=0) + 1e-12
     clipped = np.clip(clipped, -spread, spread)
     found = np.log10(np.asarray(start, dtype=float))
-    cost = cost_by_disturbance(clipped, jacobian, series.period, series.stated_noise, begins)
+    cost = cost_by_disturbance(clipped, model.at(used), series.stated_noise, series.period, begins)
     least = cost(10.0**found)
     for width in (2.0, 1.0, 0.5, 0.25):
         for channel in range(3):

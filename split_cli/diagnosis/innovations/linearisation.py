@@ -20,11 +20,6 @@ from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-_SHORTEST = 1e-3
-"""Relaxation length below which tyre forces build up at once [m]; the shortest of a model car is 30 times that."""
-_SLOWEST = 0.1
-"""Least speed at which wheels are taken to roll [m/s]; below it no row is compared."""
-
 
 @dataclass(frozen=True)
 class Linearisation:
@@ -60,21 +55,6 @@ class Linearisation:
         late = [first_order_response(column, self.rate, self.recording) for column in forces.T]
         return _times(self.immediate, deviation) + np.stack(late, axis=1)
 
-    def of_noise(self) -> np.ndarray:
-        """Return the derivative of the rates with respect to the noise of the very sample, shape (N, 3, 3) [1/s].
-
-        Notes
-        -----
-        The whitening filter assumes that noise changes the rates in its own sample alone. Of a force that builds up
-        at the rate a, the share 1 - (1 - e^-q)/q with q = a times the period does so; for large q that is all of it.
-        What noise of earlier samples leaves in the force is part of the disturbance.
-        """
-        if self.rate is None:
-            return self.jacobian
-        q = np.maximum(self.rate * self.recording.period, 1e-6)
-        share = 1.0 + np.expm1(-q) / q
-        return self.immediate + share[:, None, None] * (self.jacobian - self.immediate)
-
 
 def linearise(vehicle: Vehicle, series: Series, shared_terms: Sequence[Term] = ()) -> Linearisation:
     """Return the linearisation of the nominal model at the predicted states of a recording.
@@ -91,13 +71,14 @@ def linearise(vehicle: Vehicle, series: Series, shared_terms: Sequence[Term] = (
     at = (*series.predicted.T, series.torque, series.steer_angle)
     where = {"yaw": series.yaw, "t": series.t, "s": series.s}
     jacobian = SingleTrack(vehicle, rest).velocity_jacobian(*at, **where)
-    if length < _SHORTEST:
-        return Linearisation(jacobian, jacobian, None, series.recording)
     late = relaxation({"length": length})
-    held = {name: np.zeros(len(series)) for name in SingleTrack(vehicle, (*rest, late)).state_names}
-    immediate = SingleTrack(vehicle, (*rest, late)).velocity_jacobian(*at, **where, states=held)
-    rate = np.maximum(np.abs(series.predicted[:, 0]), _SLOWEST) / length
-    return Linearisation(jacobian, immediate, rate, series.recording)
+    by_speed = late.fastest_rate(1.0)  # 0 for a length so short that forces build up at once
+    if by_speed == 0.0:
+        return Linearisation(jacobian, jacobian, None, series.recording)
+    model = SingleTrack(vehicle, (*rest, late))
+    held = {name: np.zeros(len(series)) for name in model.state_names}
+    immediate = model.velocity_jacobian(*at, **where, states=held)
+    return Linearisation(jacobian, immediate, by_speed * np.abs(series.predicted[:, 0]), series.recording)
 
 
 def _times(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:

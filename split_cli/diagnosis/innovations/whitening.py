@@ -14,19 +14,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
+from split_cli.diagnosis.innovations.noise_memory import (
+    NoiseMemory,
+    NoiseModel,
+    gains_with_memory,
+    inverse_factor,
+    whiten_with_memory,
+)
+
 
 @dataclass(frozen=True)
 class Whitener:
     """The whitening filter of one recording with N samples: its gains at the N - 1 transitions."""
 
     # gain, root, carry: (N - 1, 3, 3): Kalman gain K_k, inverse Cholesky factor of the innovation's covariance, and
-    # I + period/2 A_k.
+    # N of the `NoiseModel`.
     gain: np.ndarray
     root: np.ndarray
     carry: np.ndarray
     begins: np.ndarray  # bool (N - 1,): transitions at which the filter restarts
     group: np.ndarray  # int64 (N - 1,): number of the output row a transition is summed into; -1 for none
     count: np.ndarray  # (G,): number of transitions in a row
+    # (N - 1, 3, 3), and how noise changes later forces: gain of that; both None if forces build up at once.
+    recall: np.ndarray | None = None
+    memory: NoiseMemory | None = None
 
     def __call__(self, defect: np.ndarray, estimate: np.ndarray | None = None) -> np.ndarray:
         """Return whitened rows, shape (G, 3, C), of defects (N - 1, 3, C), or (G, 3) of (N - 1, 3).
@@ -38,16 +49,24 @@ class Whitener:
         ----------
         defect : ndarray, shape (N - 1, 3, C) or (N - 1, 3)
             Defects of v_x, v_y [m/s] and r [rad/s].
-        estimate : ndarray, shape (3, C), optional
-            Estimate of the noise of the sample before the first defect, 0 at the begin of a recording. It is
-            overwritten with that after the last defect. For defects with columns only.
+        estimate : ndarray, shape (6, C), optional
+            Estimate of the noise of the sample before the first defect, and of what earlier noise left in forces; 0
+            at the begin of a recording. It is overwritten with that after the last defect. For defects with columns
+            only.
         """
         defect = np.ascontiguousarray(defect)
-        filtered = defect, self.gain, self.root, self.carry, self.begins, self.group, len(self.count)
-        if defect.ndim == 2:
-            rows = _whiten_one(*filtered)
+        filtered = self.gain, self.root, self.carry, self.begins, self.group, len(self.count)
+        if defect.ndim == 2 and self.memory is None:
+            rows = _whiten_one(defect, *filtered)
         else:
-            rows = _whiten(*filtered, np.zeros((3, defect.shape[2])) if estimate is None else estimate)
+            columns = defect if defect.ndim == 3 else defect[:, :, None]
+            estimate = np.zeros((6, columns.shape[2])) if estimate is None else estimate
+            if self.memory is None:
+                rows = _whiten(columns, *filtered, estimate)
+            else:
+                into, kept, times, _ = self.memory
+                rows = whiten_with_memory(columns, *filtered, estimate, self.recall, into, kept, times)
+            rows = rows if defect.ndim == 3 else rows[:, :, 0]
         return rows / np.sqrt(self.count).reshape(-1, *(1,) * (rows.ndim - 1))
 
     def stretches(self, length: int) -> Iterator[tuple[slice, slice, Whitener]]:
@@ -59,19 +78,19 @@ class Whitener:
             end = len(self.group) if last else int(np.argmax(self.group == rows.stop))
             at = slice(begin, end)
             group = np.where(self.group[at] >= 0, self.group[at] - first, -1)
-            yield (
-                at,
-                rows,
-                replace(
-                    self,
-                    gain=self.gain[at],
-                    root=self.root[at],
-                    carry=self.carry[at],
-                    begins=self.begins[at],
-                    group=group,
-                    count=self.count[rows],
-                ),
+            piece = replace(
+                self,
+                gain=self.gain[at],
+                root=self.root[at],
+                carry=self.carry[at],
+                begins=self.begins[at],
+                group=group,
+                count=self.count[rows],
             )
+            if self.recall is not None and self.memory is not None:
+                memory = NoiseMemory(*(one[at] for one in self.memory))
+                piece = replace(piece, recall=self.recall[at], memory=memory)
+            yield at, rows, piece
             begin = end
 
     def of_every_sample(self) -> Whitener:
@@ -81,65 +100,62 @@ class Whitener:
 
 
 def build_whitener(
-    jacobian: np.ndarray,
-    period: float,
-    noise: np.ndarray,
-    disturbance: np.ndarray,
-    begins: np.ndarray,
-    group: np.ndarray,
+    model: NoiseModel, noise: np.ndarray, disturbance: np.ndarray, period: float, begins: np.ndarray, group: np.ndarray
 ) -> Whitener:
     """Return the whitening filter of a recording, by the covariance recursion of a Kalman filter.
 
     Parameters
     ----------
-    jacobian : ndarray, shape (N, 3, 3)
-        A, velocity block of the nominal Jacobian at the predicted states [1/s].
-    period : float
-        Sample period [s].
+    model : NoiseModel
+        How noise enters the defects.
     noise : ndarray, shape (3,)
         Standard deviation of a sample of v_x, v_y [m/s] and r [rad/s].
     disturbance : ndarray, shape (3,)
         Variance per second of unmodelled disturbances [m^2/s^3], [m^2/s^3], [rad^2/s^3].
+    period : float
+        Sample period [s].
     begins, group
         As in `Whitener`.
 
     Notes
     -----
-    z_k = w_k + (I - period/2 A_{k+1}) n_{k+1} - (I + period/2 A_k) n_k with n the sensor noise and w the
-    disturbance: a moving average of order one. The estimate of n_k from the past, with covariance S, gives the
-    innovation z_k + N n^, its covariance Q + P R P^T + N S N^T, and the next estimate.
+    Without memory z_k = w_k + P n_{k+1} - N n_k with n the sensor noise and w the disturbance: a moving average of
+    order one. The estimate of n_k from the past, with covariance S, gives the innovation z_k + N n^, its covariance
+    Q + P R P^T + N S N^T, and the next estimate. With memory what earlier noise left in forces is estimated as well.
     """
-    carry, onward, R = _moving_average(jacobian, period, noise)
-    gain, root, _ = _gains(carry, onward, R, np.diag(np.asarray(disturbance, dtype=float) * period), begins)
+    covariances = np.diag(np.asarray(noise, dtype=float) ** 2), np.diag(np.asarray(disturbance, dtype=float) * period)
+    gain, recall, root, _ = _gains_of(model, *covariances, begins)
     kept = group[group >= 0]
     count = np.bincount(kept, minlength=(int(kept.max()) + 1) if len(kept) else 0).astype(float)
-    return Whitener(gain, root, carry, begins, group, count)
+    return Whitener(gain, root, model.carry, begins, group, count, recall, model.memory)
 
 
 def cost_by_disturbance(
-    defect: np.ndarray, jacobian: np.ndarray, period: float, noise: np.ndarray, begins: np.ndarray
+    defect: np.ndarray, model: NoiseModel, noise: np.ndarray, period: float, begins: np.ndarray
 ) -> Callable[[np.ndarray], float]:
     """Return a function of the disturbance: minus twice the log likelihood of defects (N - 1, 3), up to a constant.
 
     Parameters are those of `build_whitener`.
     """
-    carry, onward, R = _moving_average(jacobian, period, noise)
-    defect, every = np.ascontiguousarray(defect), np.arange(len(begins), dtype=np.int64)
+    R = np.diag(np.asarray(noise, dtype=float) ** 2)
+    every = np.arange(len(begins), dtype=np.int64)
 
     def cost(disturbance: np.ndarray) -> float:
-        gain, root, log_determinant = _gains(carry, onward, R, np.diag(disturbance * period), begins)
-        rows = _whiten_one(defect, gain, root, carry, begins, every, len(every))
-        return float(np.sum(rows**2)) + float(log_determinant)
+        gain, recall, root, log_determinant = _gains_of(model, R, np.diag(disturbance * period), begins)
+        whitener = Whitener(gain, root, model.carry, begins, every, np.ones(len(every)), recall, model.memory)
+        return float(np.sum(whitener(defect) ** 2)) + float(log_determinant)
 
     return cost
 
 
-def _moving_average(
-    jacobian: np.ndarray, period: float, noise: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return I + period/2 A_k and I - period/2 A_{k+1}, (N - 1, 3, 3), and the noise's covariance (3, 3)."""
-    carry = np.eye(3) + 0.5 * period * jacobian[:-1]
-    return carry, np.eye(3) - 0.5 * period * jacobian[1:], np.diag(np.asarray(noise, dtype=float) ** 2)
+def _gains_of(
+    model: NoiseModel, R: np.ndarray, Q: np.ndarray, begins: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, float]:
+    """Return the gains of the noise and of its memory, roots of inverse covariances, and their log determinant."""
+    if model.memory is not None:
+        return gains_with_memory(model.carry, model.onward, R, Q, begins, *model.memory)
+    gain, root, log_determinant = _gains(model.carry, model.onward, R, Q, begins)
+    return gain, None, root, log_determinant
 
 
 @njit(cache=True, nogil=True)
@@ -172,25 +188,8 @@ def _gains(carry, onward, R, Q, begins):
                 E[i, j] = Q[i, j]
                 for m in range(3):
                     E[i, j] += PR[i, m] * P[j, m] + NS[i, m] * N[j, m]
-        for i in range(3):
-            for j in range(i + 1):
-                total = E[i, j]
-                for m in range(j):
-                    total -= L[i, m] * L[j, m]
-                if i == j:
-                    L[i, i] = np.sqrt(max(total, 1e-300))
-                else:
-                    L[i, j] = total / L[j, j]
-        for i in range(3):
-            log_determinant += 2.0 * np.log(L[i, i])
         inverse = root[k]
-        for i in range(3):
-            inverse[i, i] = 1.0 / L[i, i]
-            for j in range(i):
-                total = 0.0
-                for m in range(j, i):
-                    total -= L[i, m] * inverse[m, j]
-                inverse[i, j] = total / L[i, i]
+        log_determinant += inverse_factor(E, L, inverse)
         # K = (P R)^T E^-1, and E^-1 = L^-T L^-1.
         _product(inverse, PR, scaled)
         K = gain[k]

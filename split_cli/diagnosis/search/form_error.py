@@ -111,7 +111,7 @@ def _products(
     for one, keep in zip(objective.evidence, objective.keep, strict=True):
         left, functions = _left_by_all(one, parts), _functions(one)
         effects = [_effect(one, terms, k, left[id(terms)]) for terms, k in parts]
-        estimate = np.zeros((3, count))
+        estimate = np.zeros((6, count))
         for at, rows, whitener in one.whitener.stretches(_ROWS_AT_ONCE):
             varied = [_varied_by(one, effect[at], by_axle, functions[at]) for effect, by_axle in effects]
             x = whitener(np.concatenate(varied, axis=2), estimate)[keep[rows]].reshape(-1, count)

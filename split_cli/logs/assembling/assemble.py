@@ -276,10 +276,10 @@ def _beginning(found: Consistency, offset: float) -> list[str]:
 
 
 def _sources(recording: RawRecording) -> tuple[Source, ...]:
-    paths = getattr(recording, "paths", (recording.path,))
+    joined = getattr(recording, "paths", None)
+    paths = joined or (recording.path,)
     return tuple(
-        Source(path.name if len(paths) > 1 else recording.name, sha256_of_file(path) if path.exists() else "")
-        for path in paths
+        Source(path.name if joined else recording.name, sha256_of_file(path) if path.exists() else "") for path in paths
     )
 
 
@@ -290,7 +290,7 @@ def _certain(signal_map: SignalMap) -> frozenset[str]:
     return frozenset({"hand"}) if fixed else frozenset()
 
 
-_WITH_CHECKSUMS = (".mcap", ".mcap.zstd", ".npz")
+_WITH_CHECKSUMS = (".mcap", ".mcap.zstd", ".mcap.zst", ".npz", ".gz", ".bz2", ".xz", ".zip")
 """Ends of names of formats with checksums that are compared; the reader of MCAP notes messages that have none."""
 _PARTS_WITHOUT = (".db3", ".db3.zstd", ".npy")
 """Ends of names of files, of which folders are one recording, without any."""

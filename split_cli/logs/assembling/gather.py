@@ -190,6 +190,7 @@ def fitting_presets(recording: RawRecording, still: Collection[str] = ()) -> tup
     """
     infos = {info.name: info for info in recording.channels()}
     resolver, fitting = _Resolver(recording.name, infos, SignalMap("", ())), []
+    own = getattr(recording, "own_clocks", False)
     for name in preset_names():
         resolver.map = _preset(name)
         with suppress(MapError):
@@ -198,7 +199,7 @@ def fitting_presets(recording: RawRecording, still: Collection[str] = ()) -> tup
             if (
                 required.isdisjoint(still)
                 and {"vx", "r", "delta"} <= found.keys()
-                and (resolver.map.time.source or next(iter(infos))) in infos
+                and (own or (resolver.map.time.source or next(iter(infos))) in infos)
             ):
                 fitting.append(name)
     return tuple(fitting)
@@ -336,7 +337,8 @@ def _time_column(infos: Mapping, signal_map: SignalMap, recording: RawRecording)
             where=recording.name,
             advice=f"Give time: {{clock: ...}}, one of {', '.join(recording.clocks)}.",
         )
-    if recording.clocks or signal_map.time.period or hasattr(recording, "paths"):
+    own = getattr(recording, "own_clocks", False)  # a preset for a program's tables fits its logs, too
+    if own or recording.clocks or signal_map.time.period or hasattr(recording, "paths"):
         return None
     if signal_map.time.source:
         stamp = signal_map.time.stamp

@@ -32,7 +32,8 @@ def direction_of_travel(checks: Checks, with_velocity: bool = True) -> list[Cons
     measured = with_velocity and checks.usable("vy")
     sideslip = np.arctan2(k.signal("vy"), k.signal("vx")) if measured else 0.0
     centre, off = around_mean(k.travel_from_yaw() - sideslip)
-    if np.count_nonzero(np.isfinite(off)) < 50:
+    # A pose that stands still while v_x says otherwise travels nowhere.
+    if np.count_nonzero(np.isfinite(off) & (k.ground_speed() > 0.0)) < 50:
         return []
     zero, error = _without_turning(k, off, not measured)
     centre, off = centre + zero, off[np.isfinite(off)] - zero

@@ -26,7 +26,7 @@ from split_cli.signals import find_unit, split_name_and_unit
 
 KNOWN_FORMATS = (
     "Known are MCAP, rosbag2, ROS 1 bag, CSV, Excel, JSON lines, YAML, VBO, Pi Toolbox, Parquet, Feather, MAT, HDF5, "
-    "NetCDF, NumPy, SQLite, iRacing, MF4, and with --dbc also BLF, ASC, TRC and candump."
+    "NetCDF, NumPy, SQLite, iRacing, MoTeC, CarMaker, AiM, TDMS, ULog, MF4, and with --dbc BLF, ASC, TRC and candump."
 )
 EMPTY_CELLS = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--")
 """What loggers write where they measured nothing."""

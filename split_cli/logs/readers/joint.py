@@ -30,7 +30,7 @@ class JointRecording:
     Attributes
     ----------
     paths : tuple of Path
-        All files.
+        All files; of an archive that holds several, it once.
     """
 
     clocks: tuple[Clock, ...] = ()
@@ -38,7 +38,7 @@ class JointRecording:
 
     def __init__(self, parts: Sequence[RawRecording]) -> None:
         self.parts = tuple(parts)
-        self.paths = tuple(part.path for part in parts)
+        self.paths = tuple(dict.fromkeys(part.path for part in parts))
         self.path = self.paths[0]
         self.name = "+".join(part.name for part in parts)
         self._own_notes: list[ReadNote] = []

@@ -108,7 +108,7 @@ def _open_within(path: Path, databases: Sequence[Path], copies: str, open_files:
         with _without_prints():
             return {name: _signal(file, path, name, places[name], units[name], notes, clocks) for name in names}
 
-    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+    return LazyTableRecording(path.name, path, infos, load, notes=notes, own_clocks=True)
 
 
 def _signal(

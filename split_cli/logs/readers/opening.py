@@ -3,12 +3,14 @@
 import itertools
 import os
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
-from split_cli.errors import LogError, NoRecordingError, NoTableError
-from split_cli.files import refuse_no_regular_file
+from split_cli.errors import LogError, NoRecordingError, NoTableError, SplitError
+from split_cli.files import ScratchFolder, refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
+from split_cli.logs.readers.aim import is_aim, open_aim
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
+from split_cli.logs.readers.carmaker_erg import ERG_MAGIC, INFO_SUFFIX, open_erg
 from split_cli.logs.readers.code_pages import utf_16_without_mark
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff
@@ -19,11 +21,27 @@ from split_cli.logs.readers.labelled_lines import is_labelled, open_labelled
 from split_cli.logs.readers.line_protocol import is_line_protocol, open_line_protocol
 from split_cli.logs.readers.lines_of_objects import form_of_objects, open_objects
 from split_cli.logs.readers.messages import Container, MessageRecording
+from split_cli.logs.readers.motec_ld import is_motec_ld, open_motec_ld
 from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
 from split_cli.logs.readers.novatel import is_novatel, open_novatel
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
+from split_cli.logs.readers.px4 import ULOG_MAGIC, open_ulog
 from split_cli.logs.readers.rewritten_tables import is_rewritten, open_rewritten
 from split_cli.logs.readers.rows_of_kinds import open_rows_of_kinds, titles_of_kinds
+from split_cli.logs.readers.tdms import TDMS_MAGIC, open_tdms
+from split_cli.logs.readers.unpacking import (
+    PACKED_SUFFIXES,
+    ZIP_MAGIC,
+    UnpackedRecording,
+    by_its_own_name,
+    is_packed,
+    plain_name,
+    refuse_long_list,
+    several_recordings,
+    shown_members,
+    unpacked_file,
+    unzipped,
+)
 from split_cli.logs.readers.yaml_documents import is_yaml_documents, open_yaml_documents
 
 _HEAD_BYTES = 4096
@@ -31,17 +49,21 @@ NETCDF_MAGIC = (b"CDF\x01", b"CDF\x02")
 """How a file of NetCDF begins in its classic forms."""
 _MOST_LISTED = 2000
 """Files of a folder that are looked at to say what it holds [1]."""
-_ZSTD = b"\x28\xb5\x2f\xfd"
+LOG_SUFFIXES = tuple(
+    """
+    .mcap .bag .db3 .csv .txt .vbo .parquet .feather .mat .mf4 .mdf .blf .asc .trc .jsonl .ascii .lvm .tsv .arrow
+    .npz .ibt .ld .erg .xrk .xrz .ulg .tdms .zip
+    """.split()
+    + list(PACKED_SUFFIXES)
+)
+"""How names of recordings end; of compressed files the ending before counts, too."""
 _FOREIGN_MAGIC = (
     (b"#ROSBAG V1", "a ROS 1 bag of version 1", "Convert it with `rosbag fix` or `rosbag reindex`."),
-    (b"\x1f\x8b", "compressed with gzip", "Unpack it first."),
-    (_ZSTD, "compressed with zstd", "Unpack it first with `zstd -d`."),
-    (b"PK\x03\x04", "a zip archive or a spreadsheet", "Unpack it, or export it as CSV."),
-    (b"BZh", "compressed with bzip2", "Unpack it first."),
     (b"\xa3\x95\x80\x80", "an ArduPilot log", "Convert it to a CSV for each message with mavlogdump, for --together."),
-    (b"ULog\x01\x12\x35", "a ULog of PX4", "Convert it with ulog2csv, and name its tables with --together."),
+    (b"7z\xbc\xaf\x27\x1c", "a 7z archive", "Unpack it, or pack it as .zip."),
+    (b"Rar!\x1a\x07", "a RAR archive", "Unpack it, or pack it as .zip."),
+    (b"\x04\x22\x4d\x18", "compressed with lz4", "Unpack it with `lz4 -d`."),
     (b"|CF,", "an imc FAMOS file", "Export it as CSV or MAT."),
-    (b"CM-ERG", "a result of CarMaker", "Export it as CSV or MAT."),
     *((begins, "XML", "Export it as CSV.") for begins in (b"<?xml", b"<kml", b"<gpx", b"<osm", b"<!DOCTYPE")),
     *(
         (talker, "a list of NMEA sentences", "They hold position and speed alone. Record a table, with a yaw rate.")
@@ -49,11 +71,8 @@ _FOREIGN_MAGIC = (
     ),
 )
 _OTHERS = {
-    **dict.fromkeys((".xrk", ".xrz", ".drk"), ("an AiM recording", "Export it from RaceStudio as CSV.")),
-    ".ld": ("a MoTeC log", "Export it from i2 as CSV or MAT."),
+    ".drk": ("an AiM recording of the old kind", "Export it from RaceStudio as CSV."),
     ".rcz": ("a RaceChrono session", "Export it from the app as CSV v3."),
-    ".tdms": ("a TDMS file", "Export it as CSV or MAT."),
-    ".erg": ("a result of CarMaker", "Export it as CSV or MAT."),
     ".fit": ("a FIT file", "Export it as CSV."),
     **dict.fromkeys((".pkl", ".pickle"), ("a pickle of Python", "Save it as Parquet or CSV.")),
     **dict.fromkeys((".xls", ".xlsb", ".ods"), ("a spreadsheet", "Save it as .xlsx, or export it as CSV.")),
@@ -72,6 +91,11 @@ _BINARY_SUFFIXES = {
     ".mdf": "an MDF file",
     ".mat": "a MAT file",
     ".ibt": "telemetry of iRacing",
+    ".ld": "a MoTeC log",
+    ".erg": "a result of CarMaker",
+    ".ulg": "a log of PX4",
+    ".tdms": "a TDMS file",
+    **dict.fromkeys((".xrk", ".xrz"), "a recording of AiM"),
 }
 
 
@@ -82,8 +106,9 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     ----------
     path : path-like
         MCAP, rosbag2 folder or ``.db3``, ROS 1 ``.bag``, CSV, Racelogic .vbo, Parquet, Feather, MAT (v4, v5,
-        v7.3), NumPy (.npz, .npy, a folder of arrays), iRacing .ibt, MF4, and logs of CAN frames (BLF,
-        ASC, candump, TRC, MF4 bus logging).
+        v7.3), NumPy (.npz, .npy, a folder of arrays), iRacing .ibt, MoTeC .ld, CarMaker .erg, AiM .xrk, TDMS,
+        ULog, MF4, and logs of CAN frames (BLF, ASC, candump, TRC, MF4 bus logging); any of them compressed, or
+        in a zip archive.
     message_paths : sequence of path-like
         Folders of ``.msg`` files, for message types that the recording does not define, and CAN databases.
 
@@ -104,6 +129,52 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
             advice = "Name a folder of .msg files, or a DBC file."
             raise LogError("is not there, or closed to you", where=str(definitions), advice=advice)
     return GuardedRecording(guarded(path, lambda: _open(path, message_paths)))
+
+
+def open_parts(path: str | Path, *, message_paths: Sequence[str | Path] = ()) -> list[RawRecording]:
+    """Open the recordings that are parts of one drive: those of an archive, or the one that a file is.
+
+    Raises
+    ------
+    LogError
+        As `open_recording`.
+    """
+    path = Path(path)
+    if not guarded(path, lambda: _is_archive(path)):
+        return [open_recording(path, message_paths=message_paths)]
+
+    def opened() -> list[RawRecording]:
+        scratch = ScratchFolder()
+        found = _recordings_in(path, scratch.path)
+        return [_from_copy(path, copy, scratch, message_paths, alone=len(found) == 1) for copy in found]
+
+    return [GuardedRecording(part) for part in guarded(path, opened)]
+
+
+def is_log(path: Path, suffixes: Sequence[str] = LOG_SUFFIXES) -> bool:
+    """Tell whether a file is of one of the kinds; a text must hold rows of numbers, and JSON a list of objects.
+
+    Settings are written as one object. Phones write a table about the device beside those of their sensors. An
+    archive must hold such a file.
+    """
+    kind = path.suffix.lower()
+    if kind == ".json":
+        # Of another file system the content is not looked at, and none is taken there.
+        return ".jsonl" in suffixes and path.is_file() and _is_list_of_rows(path)
+    if not has_ending(path.name, suffixes):
+        return False
+    if kind == ".zip":
+        return path.is_file() and any(has_ending(name, LOG_SUFFIXES) for name in shown_members(path))
+    return not (kind in (".txt", ".csv") and path.is_file() and is_prose(path))
+
+
+def has_ending(name: str, suffixes: Sequence[str]) -> bool:
+    """Tell whether a name ends in one of `suffixes`; that of a compressed file, whether the one before does, too."""
+    name = name.lower()
+    plain = plain_name(name)
+    if plain != name:
+        return name.removeprefix(plain) in suffixes and plain.endswith(tuple({*suffixes} - {*PACKED_SUFFIXES, ".zip"}))
+    return name.endswith(tuple(suffixes))
 
 
 def is_prose(path: Path) -> bool:
@@ -132,7 +203,7 @@ def is_prose(path: Path) -> bool:
     return False
 
 
-def is_list_of_rows(path: Path) -> bool:
+def _is_list_of_rows(path: Path) -> bool:
     """Tell a JSON file that is a list of objects by its beginning; one object may be settings."""
     try:
         with path.open("rb") as stream:
@@ -171,6 +242,8 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     for magic, what, advice in _FOREIGN_MAGIC:
         if head.startswith(magic):
             raise LogError(f"is {what}, which is not read", where=path.name, advice=advice)
+    if head[257:262] == b"ustar":
+        raise LogError("is a tar archive, which is not read", where=path.name, advice="Unpack it with `tar -xf`.")
     called = _BINARY_SUFFIXES.get(path.suffix.lower())
     if called and path.suffix.lower() != ".dat":
         raise LogError(
@@ -200,11 +273,8 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.bag1 import Bag1Container
 
         return _messages(path, Bag1Container(path), message_paths)
-    if head.startswith(_ZSTD):
-        from split_cli.logs.readers.rosbag2 import PACKED_SUFFIXES, open_packed_file
-
-        packed = path.name.lower().endswith(PACKED_SUFFIXES)
-        return _messages(path, open_packed_file(path), message_paths) if packed else None
+    if is_packed(head):
+        return _open_packed(path, message_paths)
     databases = [Path(p) for p in message_paths if Path(p).suffix.lower() in DATABASE_SUFFIXES]
     if head.startswith((b"MDF     ", b"UnFinMF ")):
         from split_cli.logs.readers.mf4 import open_mf4
@@ -225,20 +295,29 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.numpy_arrays import open_npy
 
         return open_npy(path)
-    if head.startswith(b"PK\x03\x04"):
+    if head.startswith(ZIP_MAGIC):
+        refuse_long_list(path)
         from split_cli.logs.readers.numpy_arrays import is_npz, open_npz
 
         if is_npz(path, head):
             return open_npz(path)
         from split_cli.logs.readers.spreadsheet import is_spreadsheet, open_spreadsheet
 
-        return open_spreadsheet(path) if is_spreadsheet(path, head) else None
+        return open_spreadsheet(path) if is_spreadsheet(path, head) else _open_archive(path, message_paths)
     if head.startswith(NETCDF_MAGIC):
         from split_cli.logs.readers.netcdf_classic import open_netcdf_classic
 
         return open_netcdf_classic(path)
     if path.suffix.lower() == ".ibt" and is_ibt(path, head):
         return open_ibt(path)
+    if is_motec_ld(path, head):
+        return open_motec_ld(path)
+    if head.startswith(ERG_MAGIC):
+        return open_erg(path)
+    if is_aim(path, head):
+        return open_aim(path)
+    if head.startswith((ULOG_MAGIC, TDMS_MAGIC)):
+        return open_ulog(path) if head.startswith(ULOG_MAGIC) else open_tdms(path)
     if is_pi_toolbox(head):
         return open_pi_toolbox(path)
     if is_json(head):
@@ -267,6 +346,75 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
 
         return open_mat_hdf5(path)
     return None
+
+
+def _open_packed(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
+    scratch = ScratchFolder()
+    return _from_copy(path, unpacked_file(path, scratch.path), scratch, message_paths)
+
+
+def _open_archive(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
+    scratch = ScratchFolder()
+    found = _recordings_in(path, scratch.path)
+    if len(found) > 1:
+        raise several_recordings(path, [copy.relative_to(scratch.path).as_posix() for copy in found])
+    return _from_copy(path, found[0], scratch, message_paths)
+
+
+def _from_copy(
+    path: Path, copy: Path, scratch: ScratchFolder, message_paths: Sequence[str | Path], *, alone: bool = True
+) -> UnpackedRecording:
+    """Open what was unpacked; it may not be packed again. If it was there `alone`, its name is that of the file."""
+    place = copy.relative_to(scratch.path).as_posix()
+    called = path.name if alone else place
+    name = f"{path.name}/{place}" if _is_archive(path) else path.name
+    try:
+        if copy.is_dir():
+            return UnpackedRecording(_open_folder(copy, message_paths), path, called, scratch)
+        with copy.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        if is_packed(head) or _is_archive(copy):
+            raise LogError("is packed twice", where=name, advice="Unpack it once.")
+        return UnpackedRecording(_open_file(copy, message_paths), path, called, scratch)
+    except SplitError as error:
+        raise by_its_own_name(error, copy, name) from error
+
+
+def _recordings_in(path: Path, folder: Path) -> list[Path]:
+    """Unpack the recordings of an archive into a folder; return them: files, and folders of rosbag2.
+
+    Raises
+    ------
+    LogError
+        If there is none.
+    """
+    files = unzipped(path, folder, lambda name: _may_be_read(PurePosixPath(name)))
+    bags = {file.parent for file in files if file.name == "metadata.yaml"}
+    alone = [file for file in files if not bags & {*file.parents}]
+    logs = alone if len(files) == 1 else [file for file in alone if is_log(file)]
+    if not (bags or logs):
+        advice = "Unpack it, and name the recording."
+        raise LogError("is an archive without a recording in it", where=path.name, advice=advice)
+    return sorted([*bags, *logs])
+
+
+def _may_be_read(place: PurePosixPath) -> bool:
+    beside = place.name == "metadata.yaml" or place.suffix.lower() in (".json", INFO_SUFFIX)
+    return beside or has_ending(place.name, LOG_SUFFIXES)
+
+
+def _is_archive(path: Path) -> bool:
+    """Tell a zip archive that is no file of NumPy or Excel."""
+    from split_cli.logs.readers.numpy_arrays import is_npz
+    from split_cli.logs.readers.spreadsheet import is_spreadsheet
+
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        head = stream.read(len(ZIP_MAGIC))
+    if head == ZIP_MAGIC:
+        refuse_long_list(path)
+    return head == ZIP_MAGIC and not is_npz(path, head) and not is_spreadsheet(path, head)
 
 
 def _is_hdf5(head: bytes) -> bool:

@@ -26,11 +26,11 @@ _CODE = """
 import importlib, pathlib, resource, sys
 for limit, most in ((resource.RLIMIT_DATA, int(sys.argv[2])), (resource.RLIMIT_CPU, int(sys.argv[3]))):
     resource.setrlimit(limit, (most, most))
-getattr(importlib.import_module(sys.argv[4]), sys.argv[5])(pathlib.Path(sys.argv[1]))
+getattr(importlib.import_module(sys.argv[4]), sys.argv[5])(pathlib.Path(sys.argv[1]), *sys.argv[6:])
 """
 
 
-def probe(path: Path, read: Callable[[Path], object]) -> None:
+def probe(path: Path, read: Callable[..., object], *more: str) -> None:
     """Read a file once in another process, with bounds on its memory and time, and throw away what it gave.
 
     A damaged file can make compiled code follow a wrong pointer or take all memory; then only the probe dies. What
@@ -40,6 +40,8 @@ def probe(path: Path, read: Callable[[Path], object]) -> None:
     ----------
     read : callable
         A function of a module.
+    *more : str
+        What it is given behind the path.
 
     Raises
     ------
@@ -51,7 +53,7 @@ def probe(path: Path, read: Callable[[Path], object]) -> None:
     paths = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
     seconds = math.ceil(_LONGEST_SECONDS + _SECONDS_A_MEGABYTE * size / 1e6)
     limits = [str(_LEAST_MEMORY + _MEMORY_A_BYTE * size), str(seconds)]
-    command = [sys.executable, "-c", _CODE, str(path.absolute()), *limits, read.__module__, read.__name__]
+    command = [sys.executable, "-c", _CODE, str(path.absolute()), *limits, read.__module__, read.__name__, *more]
     try:
         # asammdf unfolds into files in the temporary folder: a probe that is killed leaves none behind.
         with ScratchFolder() as scratch:

@@ -17,21 +17,18 @@ from split_cli.logs.budget import most_bytes_out
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.mcap import McapContainer
 from split_cli.logs.readers.messages import Container, MessageBatch, Stream, in_batches
+from split_cli.logs.readers.unpacking import unpacked_file
 from split_cli.yaml_file import parse_yaml
 
 _LARGEST_METADATA = 16 << 20
 """Of metadata.yaml [bytes]; judgement: one file of a thousand parts and a thousand topics has 1 MB."""
-_UNPACKED_AT_ONCE = 1 << 22
 _SMALL_FILE = 64 << 20
-"""What any file may unpack into [bytes]; judgement, as for a chunk."""
+"""What a value of any file may have [bytes]; judgement, as for a chunk."""
 _LARGEST_VALUE = 1_000_000_000  # SQLite's own [bytes]
-_MOST_RATIO = 60
-"""Bytes out for a byte in, of a whole file [1]; judgement: recordings of a car that stands reach 20."""
 FREE_STEPS, _STEPS_A_BYTE, _STEPS_AT_ONCE = 1_000_000, 4, 10_000
 """Steps of SQLite's machine that a query may take [1], and for a byte of the file; judgement: a message takes 12
 steps and 20 bytes at least. A bound of work holds on a busy disk, too, where one of time refuses sound files."""
-PACKED_SUFFIXES = (".mcap.zstd", ".db3.zstd")
-_STORAGE_SUFFIXES = (".mcap", ".db3", *PACKED_SUFFIXES)
+_STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
 class SqliteContainer:
@@ -188,17 +185,6 @@ def open_rosbag2_folder(path: Path) -> Container:
     return _opened(path, files, packed, notes)
 
 
-def open_packed_file(path: Path) -> Container:
-    """Open one file of a recording that rosbag2 compressed as a whole.
-
-    Raises
-    ------
-    LogError
-        If it cannot be decompressed, or what it holds cannot be read.
-    """
-    return _opened(path.parent, [path], False, [])
-
-
 def _opened(path: Path, files: Sequence[Path], packed: bool, notes: list[ReadNote]) -> Container:
     temporary: ScratchFolder | None = None
     parts: list[Container] = []
@@ -208,7 +194,7 @@ def _opened(path: Path, files: Sequence[Path], packed: bool, notes: list[ReadNot
             refuse_no_regular_file(file, LogError)
             if file.suffix == ".zstd":
                 temporary = temporary or ScratchFolder()
-                file = _unpacked_file(file, temporary.path)
+                file = unpacked_file(file, temporary.path)
             parts.append(McapContainer(file) if file.suffix == ".mcap" else SqliteContainer(file))
         except LogError as error:
             problem = error
@@ -255,21 +241,3 @@ def _unpacked(payload: bytes) -> bytes:
         return zstandard.ZstdDecompressor().decompress(payload, max_output_size=most_bytes_out(len(payload)))
     except (zstandard.ZstdError, MemoryError):
         return b""
-
-
-def _unpacked_file(file: Path, folder: Path) -> Path:
-    target = folder / file.stem
-    try:
-        with file.open("rb") as packed, target.open("wb") as plain:
-            left = max(_SMALL_FILE, _MOST_RATIO * file.stat().st_size)
-            with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
-                while part := reader.read(_UNPACKED_AT_ONCE):
-                    left -= len(part)
-                    if left < 0:
-                        what = f"unpacks into over {_MOST_RATIO} times its size: no recording is like that"
-                        advice = "Unpack it yourself with `zstd -d` if it is sound."
-                        raise LogError(what, where=file.name, advice=advice)
-                    plain.write(part)
-    except zstandard.ZstdError as error:
-        raise LogError(f"cannot be decompressed ({error})", where=file.name, advice="Copy it again.") from error
-    return target

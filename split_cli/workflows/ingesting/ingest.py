@@ -17,7 +17,8 @@ from split_cli.logs.listing import ListedChannel, listed_channels
 from split_cli.logs.map_entries import SignalMap
 from split_cli.logs.raw import RawRecording, ReadNote
 from split_cli.logs.readers.joint import JointRecording
-from split_cli.logs.readers.opening import holds_titles_alone, open_recording
+from split_cli.logs.readers.opening import holds_titles_alone, open_parts, open_recording
+from split_cli.logs.readers.unpacking import plain_name
 from split_cli.logs.signal_map import read_map
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine
@@ -317,7 +318,7 @@ def _states(paths: Sequence[Path]) -> dict[Path, tuple[int, int, int]]:
 
 
 def _drive_name(source: SourceFile) -> str:
-    return str(PurePosixPath(source.place).with_suffix(".parquet"))
+    return str(PurePosixPath(plain_name(source.place)).with_suffix(".parquet"))
 
 
 def _ingest_together(paths: Sequence[Path], output: Path, job: _Job) -> IngestResult:
@@ -337,7 +338,8 @@ def open_logs(log: str | Path | Sequence[str | Path], message_paths: Sequence[st
     paths = [Path(path) for path in log]
     empty = [path for path in paths if path.is_file() and holds_titles_alone(path)]
     empty = empty if len(empty) < len(paths) else []
-    joined = JointRecording([open_recording(p, message_paths=message_paths) for p in paths if p not in empty])
+    opened = (open_parts(path, message_paths=message_paths) for path in paths if path not in empty)
+    joined = JointRecording([part for parts in opened for part in parts])
     for path in empty:
         joined.remark(ReadNote("holds titles alone, left out", path.name))
     let_clocks_meet(joined)

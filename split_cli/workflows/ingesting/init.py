@@ -15,6 +15,7 @@ from split_cli.logs.drafting.nameless import has_no_name
 from split_cli.logs.drafting.several_logs import agreed_draft
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.logs.readers.opening import holds_titles_alone
+from split_cli.logs.readers.unpacking import plain_name
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingesting.ingest import open_logs
 from split_cli.workflows.sources import enter_all, find_sources, typed_address
@@ -250,7 +251,7 @@ def init_project(
     shown = " ".join(shlex.quote(typed_address(log)) for log in logs) + (" --together" if together else "")
     databases = [f" --dbc {shlex.quote(str(p))}" for p in message_paths if Path(p).is_file()]
     rate = f" --row-rate {row_rate:g}" if row_rate is not None else ""
-    first = Path(sources[0].name)
+    first = Path(plain_name(sources[0].name))
     made = f"{first.stem}{'_drive' * (first.suffix == '.parquet')}.parquet"
     made = shlex.quote(f"{first.stem}_drives" if len(names) > 1 else made)
     return InitResult(*targets, draft, shown + "".join(databases) + rate, made, differences)
