@@ -75,6 +75,7 @@ BESIDE_THEIR_ALGORITHM = {
     "innovations/autocovariance.py": {"LAG_ROWS"},
     "innovations/case.py": {"_MOST_PASSES", "_SETTLED"},
     "innovations/evidence.py": {"ROW_SECONDS", "_TUNING_ROWS", "_KEPT_BYTES"},
+    "innovations/linearisation.py": {"_AT_ONCE"},
     "innovations/objective.py": {"_BLOCK_SECONDS", "_FILTERED_AT_ONCE", "_LEAST_INFORMED", "_REMEMBERED", "_SHIFTS"},
     "innovations/projection.py": {"_FEW"},
     "innovations/rollouts.py": {"_STEP_SECONDS", "_MOST_STARTS", "_FEWEST_STARTS"},
