@@ -61,17 +61,17 @@ class Linearisation:
         return _times(self.immediate, deviation) + np.stack(late, axis=1)
 
 
-def linearise(vehicle: Vehicle, series: Series, shared_terms: Sequence[Term] = ()) -> Linearisation:
+def linearise(vehicle: Vehicle, series: Series, terms: Sequence[Term] = ()) -> Linearisation:
     """Return the linearisation of the nominal model at the predicted states of a recording.
 
     Parameters
     ----------
-    shared_terms : sequence of Term
-        Terms of the simulation; of these only the relaxation length counts, besides that of the vehicle file.
+    terms : sequence of Term
+        What the car has beyond its file. Of these only the relaxation length counts, besides that of the file.
     """
     relaxation = CATALOGUE["tire_relaxation"]
     own = build_terms(vehicle)
-    length = sum(one.parameters["length"] for one in (*own, *shared_terms) if isinstance(one, relaxation))
+    length = sum(one.parameters["length"] for one in (*own, *terms) if isinstance(one, relaxation))
     rest = tuple(one for one in own if not isinstance(one, relaxation))
     at = (*series.predicted.T, series.torque, series.steer_angle)
     where = {"yaw": series.yaw, "t": series.t, "s": series.s}
