@@ -121,8 +121,8 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         return found, evidence
 
     discrepancy, simulated = with_shared_terms(by_role["sim"])
-    # Which states follow from earlier samples depends on what each car has itself.
-    predicting = with_shared_terms(by_role["real"])[0].shared_terms
+    # Without a simulation nothing is shared. What the car has itself then says which states follow from earlier samples.
+    predicting = (discrepancy if simulated else with_shared_terms(by_role["real"])[0]).shared_terms
     real, holdout = (
         map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules, predicting), by_role[role])
         for role in ("real", "holdout")
