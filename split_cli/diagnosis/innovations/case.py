@@ -121,7 +121,7 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         return found, evidence
 
     discrepancy, simulated = with_shared_terms(by_role["sim"])
-    # Without a simulation nothing is shared. What the car has itself then says which states follow from earlier samples.
+    # Without a simulation nothing is shared. What the car has itself then says which states follow from earlier ones.
     predicting = (discrepancy if simulated else with_shared_terms(by_role["real"])[0]).shared_terms
     real, holdout = (
         map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules, predicting), by_role[role])
