@@ -1,5 +1,6 @@
 """The Magic Formula of a whole axle."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +45,16 @@ def lateral_force_slope(B: Any, C: Any, D: Any, slip_angle: Any) -> Any:
     """Return dF_y/dalpha [N/rad] of `lateral_force`."""
     reduced = B * slip_angle
     return D * C * B * NUMPY.cos(C * NUMPY.atan(reduced)) / (1.0 + reduced * reduced)
+
+
+def is_beyond_peak(B: Any, C: Any, slip_angle: Any) -> Any:
+    """Return where a slip angle [rad] is beyond that of the largest lateral force, bool, shape as `slip_angle`.
+
+    Notes
+    -----
+    The peak is at C arctan(B |alpha|) = pi/2.
+    """
+    return C * NUMPY.atan(B * abs(slip_angle)) > 0.5 * math.pi
 
 
 def share_beside_longitudinal(longitudinal_force: Any, D: Any, strength: Any, ops: Operations = NUMPY) -> Any:

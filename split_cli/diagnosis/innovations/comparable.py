@@ -19,6 +19,7 @@ from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.segment_means import SMOOTHED_SECONDS
 from split_cli.diagnosis.recording.series import extended_model
+from split_cli.vehicle.tire import is_beyond_peak
 
 
 def comparable(
@@ -111,8 +112,8 @@ def _slides(one: Evidence) -> np.ndarray:
 
     Notes
     -----
-    The peak is at C arctan(B |alpha|) = pi/2. A fault of commands changes the front slip angle only. A large rear slip
+    A fault of commands changes the front slip angle only. A large rear slip
     angle at small forces means that the velocities are wrong, as before a navigation system has found its heading.
     """
     rear = one.series.flow(extended_model(one.vehicle)).rear
-    return (rear.C * np.arctan(rear.B * np.abs(rear.slip_angle)) > 0.5 * np.pi)[one.at]
+    return is_beyond_peak(rear.B, rear.C, rear.slip_angle)[one.at]

@@ -16,6 +16,7 @@ from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Course
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
+from split_cli.vehicle.tire import is_beyond_peak
 
 _MOST_ROWS = 800
 """Rows between which slopes are taken, evenly spread [1]: judgement, their 320,000 slopes take 20 ms."""
@@ -93,14 +94,9 @@ def vehicle_ratios(drive: Drive, vehicle: Vehicle, rules: Screening) -> tuple[fl
 
 
 def _front_slides(v: Mapping[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
-    """Return where the front slip angle is beyond the peak of the file's tyre curve, bool, shape (N,).
-
-    Notes
-    -----
-    The peak is at C arctan(B |alpha|) = pi/2.
-    """
+    """Return where the front slip angle is beyond the peak of the file's tyre curve, bool, shape (N,)."""
     slip, _ = slip_angles(v["vx"], v["vy"], v["r"], v["delta"], vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle)
-    return vehicle.front_tire.C * np.arctan(vehicle.front_tire.B * np.abs(slip)) > 0.5 * np.pi
+    return is_beyond_peak(vehicle.front_tire.B, vehicle.front_tire.C, slip)
 
 
 def _contradiction(drive: Drive, vehicle: Vehicle, ratio: float, *, steering: bool) -> str:
