@@ -33,6 +33,10 @@ class NoiseMemory(NamedTuple):
     times: np.ndarray
     first: np.ndarray
 
+    def at(self, transitions: slice | np.ndarray) -> NoiseMemory:
+        """Return the memory of some of the transitions."""
+        return NoiseMemory(*(one[transitions] for one in self))
+
 
 @dataclass(frozen=True)
 class NoiseModel:
@@ -52,7 +56,7 @@ class NoiseModel:
 
     def at(self, transitions: np.ndarray) -> NoiseModel:
         """Return the model of some of the transitions."""
-        memory = self.memory and NoiseMemory(*(one[transitions] for one in self.memory))
+        memory = self.memory and self.memory.at(transitions)
         return NoiseModel(self.carry[transitions], self.onward[transitions], memory)
 
 

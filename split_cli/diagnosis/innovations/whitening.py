@@ -88,8 +88,7 @@ class Whitener:
                 count=self.count[rows],
             )
             if self.recall is not None and self.memory is not None:
-                memory = NoiseMemory(*(one[at] for one in self.memory))
-                piece = replace(piece, recall=self.recall[at], memory=memory)
+                piece = replace(piece, recall=self.recall[at], memory=self.memory.at(at))
             yield at, rows, piece
             begin = end
 
