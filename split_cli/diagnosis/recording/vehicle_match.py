@@ -68,10 +68,10 @@ def vehicle_ratios(drive: Drive, vehicle: Vehicle, rules: Screening) -> tuple[fl
     Notes
     -----
     In gentle turns the predicted steer angle is (L + K v_x^2) r/v_x with the file's understeer gradient K (steady-state
-    single track). On ice a turn is no gentle one although it accelerates little: there the front tyres slide.
-    Along the car m R_w (v_x' - v_y r) is the torque less resistance. Air, rolling and cornering
-    resistance change slowly, with speed and slip. What torque changes within `answer_seconds` accelerates the mass.
-    Torque that changes more slowly tells nothing, since resistance may balance it. Ratios are median slopes.
+    single track). On ice a turn is no gentle one although it accelerates little: there the front tyres slide. Along the
+    car m R_w (v_x' - v_y r) is the torque less resistance. Air, rolling and cornering resistance change slowly, with
+    speed and slip. What torque changes within `answer_seconds` accelerates the mass. Torque that changes more slowly
+    tells nothing, since resistance may balance it. Ratios are median slopes.
     """
     v = {name: smoothed(drive, drive[name]) for name in ("vx", "vy", "r", "delta", "T")}
     sound = away_from_ends(drive) & (v["vx"] > vehicle.minimum_speed)
