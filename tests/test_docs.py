@@ -76,3 +76,15 @@ def test_commits_that_pages_name_are_in_the_history():
         if commit not in known
     }
     assert not unknown
+
+
+def test_counts_of_the_readme_stand_on_the_pages_that_it_links():
+    """Tables of the README repeat sums of other pages, and were left behind when tests were added there."""
+    rows = re.findall(r"^\| .* \|$", (ROOT / "README.md").read_text(), flags=re.M)
+    rows = [row for row in rows if re.search(r"\d of \d.*\]\(docs/\w+\.md", row)]
+    assert len(rows) >= 7
+    for row in rows:
+        page = re.search(r"\]\((docs/\w+\.md)", row.rsplit("|", 2)[1]).group(1)
+        text = (ROOT / page).read_text().replace("*", "")
+        for count in re.findall(r"[\d,]+ of [\d,]*\d", row):
+            assert re.search(rf"(?<![\d,]){count}(?![\d,]*\d)", text), f"{page} does not say {count}: {row}"
