@@ -106,7 +106,7 @@ def test_beside_a_sensors_fault_a_fault_of_commands_promises_what_it_saves_there
     residuals = objective.left_by([displaced.term])
     current = Fit((displaced,), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
     explore = explorer(objective, gain)
-    ((promised, line), *_) = explore.promises(current)
+    ((promised, line), *_) = explore.estimated_costs(current)
     alone = min(one.cost(current) for one in explore.tangents())
     steps = np.linspace(0.7, 1.0, 16)
     best = min(objective.cost([displaced.term, term("steer_gain", gain=value)]) for value in steps)

@@ -16,9 +16,9 @@ from split_cli.diagnosis.search.joint import (
     all_at_once,
     at_its_least,
     cheapest_first,
+    estimated_removal_of_several,
+    estimated_saving_of_all,
     near_none,
-    promised_by_all,
-    promised_without_several,
     without_needless,
 )
 from split_cli.diagnosis.search.selection import nothing
@@ -46,7 +46,7 @@ def test_terms_that_a_wrong_beginning_hides_are_found(explore):
     base = nothing(explore.objective)
     wrong = [one for one in explore.candidates if one.term in ("aero_downforce", "cg_shift") and not one.variant]
     begun = fit_parts(explore.objective, [Part(one, dict(one.starts[0])) for one in wrong])
-    assert promised_by_all(explore, begun) > 10.0 * explore.rules.price
+    assert estimated_saving_of_all(explore, begun) > 10.0 * explore.rules.price
     found = all_at_once(explore, base, begun)
     assert set(found.names) >= set(TRUE)
     for part in found.parts:
@@ -54,7 +54,7 @@ def test_terms_that_a_wrong_beginning_hides_are_found(explore):
             assert part.values[name] == pytest.approx(value, rel=0.1)
     assert explore.price(found) < explore.price(begun)
     # What is whole promises no more than chance gives the columns that are tried.
-    assert promised_by_all(explore, found) < 3.0 * explore.rules.price
+    assert estimated_saving_of_all(explore, found) < 3.0 * explore.rules.price
 
 
 def test_no_part_hinders_an_explanation_that_is_at_its_least(explore):
@@ -123,7 +123,7 @@ def test_what_leaves_together_is_a_refit_away(explore):
     by_term = {one.term: one for one in reversed(explore.candidates)}
     values = {**TRUE, "rolling_resistance": {"force": 20.0}, "steer_gain": {"gain": 1.001}}
     fit = fit_parts(explore.objective, [Part(by_term[term], dict(given)) for term, given in values.items()])
-    promised, gone = promised_without_several(explore, fit)
+    promised, gone = estimated_removal_of_several(explore, fit)
     rest = fit_parts(explore.objective, [part for k, part in enumerate(fit.parts) if k not in gone], known=fit)
     assert set(rest.names) == set(TRUE)
     assert promised == pytest.approx(explore.price(rest) - explore.price(fit), abs=0.3)

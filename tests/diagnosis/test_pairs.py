@@ -7,7 +7,7 @@ import pytest
 
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.search.pairs import costs_of_pairs, promised_pairs, with_pair
+from split_cli.diagnosis.search.pairs import costs_of_pairs, estimated_pairs, with_pair
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, explorer, noisy_objective
 
@@ -50,7 +50,7 @@ def test_what_two_promise_is_what_one_linear_fit_of_both_leaves(explore, current
 
 
 def test_the_true_two_promise_most_and_keep_it(explore, current):
-    (best, first, second), (next_best, *_) = promised_pairs(explore, current)[:2]
+    (best, first, second), (next_best, *_) = estimated_pairs(explore, current)[:2]
     assert {first.part.candidate.term, second.part.candidate.term} == {"steer_gain", "yaw_inertia"}
     fit = with_pair(explore, current, (first, second))
     assert explore.price(fit) == pytest.approx(best, rel=0.02) and explore.price(fit) < next_best

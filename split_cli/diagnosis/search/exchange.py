@@ -15,7 +15,7 @@ from split_cli.diagnosis.search.exploration import Explorer, nearest_start, repe
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_to_form_error
 from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
-from split_cli.diagnosis.search.joint import promised_without, promised_without_several, without_needless
+from split_cli.diagnosis.search.joint import estimated_removal_costs, estimated_removal_of_several, without_needless
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -29,7 +29,7 @@ def fewer_by_another_variant(explore: Explorer, base: Fit, chosen: Fit, named: S
     fitted.
     """
     best, least = None, np.inf
-    for parts, gone in _promising_mergers(explore, chosen, named)[: explore.rules.considered]:
+    for parts, gone in _mergers_by_estimated_cost(explore, chosen, named)[: explore.rules.considered]:
         fit = fit_parts(explore.objective, parts, known=chosen)
         price = explore.price(fit)
         if price < least and (price < explore.price(chosen) or _repairs(explore, chosen, fit, gone)):
@@ -46,7 +46,9 @@ def _repairs(explore: Explorer, chosen: Fit, without: Fit, gone: Part) -> bool:
     return bool(refusal(explore, without, sizes, back))
 
 
-def _promising_mergers(explore: Explorer, chosen: Fit, named: Sequence[bool]) -> list[tuple[tuple[Part, ...], Part]]:
+def _mergers_by_estimated_cost(
+    explore: Explorer, chosen: Fit, named: Sequence[bool]
+) -> list[tuple[tuple[Part, ...], Part]]:
     """Return sets of parts with another variant and without one part, and that part, by estimated cost.
 
     Notes
@@ -70,23 +72,23 @@ def _promising_mergers(explore: Explorer, chosen: Fit, named: Sequence[bool]) ->
         if is_named
     }
 
-    def promises(j: int, sibling: Candidate) -> list[tuple[float, tuple[Part, ...], Part]]:
+    def estimates(j: int, sibling: Candidate) -> list[tuple[float, tuple[Part, ...], Part]]:
         others = chosen.terms[:j] + chosen.terms[j + 1 :]
-        line = tangent(objective, here, Part(sibling, dict(parts[j].values)), others)
+        linear = tangent(objective, here, Part(sibling, dict(parts[j].values)), others)
         out = []
         for k, moved in gone.items():
             if k != j:
                 kept = tuple(part for i, part in enumerate(parts) if i not in (j, k))
                 rest = Fit(kept, 0.0, chosen.residuals + moved, sensitivity[:, (owner != j) & (owner != k)])
                 fewer = chosen.complexity - rest.complexity - sibling.complexity
-                worse = line.cost(rest, free) - own - explore.variance_inflation * explore.rules.price * fewer
-                out.append((worse, (*kept, line.part), parts[k]))
+                worse = linear.cost(rest, free) - own - explore.variance_inflation * explore.rules.price * fewer
+                out.append((worse, (*kept, linear.part), parts[k]))
         return out
 
-    found = map_in_threads(lambda one: promises(*one), siblings)
+    found = map_in_threads(lambda one: estimates(*one), siblings)
     most = explore.variance_inflation * explore.rules.price
-    promising = [one for several in found for one in several if one[0] < most]
-    return [(kept, out) for _, kept, out in sorted(promising, key=lambda one: one[0])]
+    cheapest = [one for several in found for one in several if one[0] < most]
+    return [(kept, out) for _, kept, out in sorted(cheapest, key=lambda one: one[0])]
 
 
 def is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
@@ -116,7 +118,7 @@ def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> F
     rivals : sequence of Fit
         Explanations with another term, the last part, in place of one.
     """
-    rules, promising = explore.rules, []
+    rules, cheapest = explore.rules, []
     limit = min(explore.price(chosen) - rules.tie, *(explore.price(fit) + rules.tie for fit in rivals or [chosen]))
     for fit in (chosen, *rivals) if len(chosen.parts) > 1 else ():
         others = len(fit.parts) - (fit is not chosen)
@@ -128,14 +130,14 @@ def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> F
             continue
         # The copy discards the sensitivity that is computed for it.
         asked = fit if fit is chosen else replace(fit)
-        leaving = [(dearer, (k,)) for k, dearer in enumerate(promised_without(explore, asked)[:others])]
+        leaving = [(dearer, (k,)) for k, dearer in enumerate(estimated_removal_costs(explore, asked)[:others])]
         if fit is chosen:
-            leaving.append(promised_without_several(explore, fit))
+            leaving.append(estimated_removal_of_several(explore, fit))
         for dearer, gone in leaving:
             if explore.price(fit) + dearer < limit:
-                promising.append((explore.price(fit) + dearer, fit, gone))
+                cheapest.append((explore.price(fit) + dearer, fit, gone))
     best, least = None, limit
-    for _, fit, gone in sorted(promising, key=lambda one: one[0])[: rules.considered]:
+    for _, fit, gone in sorted(cheapest, key=lambda one: one[0])[: rules.considered]:
         kept = [part for k, part in enumerate(fit.parts) if k not in gone]
         rest = fit_parts(explore.objective, kept, known=fit)
         if explore.price(rest) < least:

@@ -64,7 +64,7 @@ class Explorer:
         return fit.cost / self.variance_inflation + self.rules.price * fit.complexity
 
     def __call__(self, current: Fit, worth: float = np.inf) -> list[Fit]:
-        """Return explanations with one further candidate, the last part, for the most promising ones, best first.
+        """Return explanations with one further candidate, the last part, for those of least estimated cost, best first.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Explorer:
     def _effects(self) -> list[tuple[Candidate, np.ndarray]]:
         return [(one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts]
 
-    def lines_beside(self, current: Fit) -> list[Tangent]:
+    def tangents_beside(self, current: Fit) -> list[Tangent]:
         """Return all further terms without a place, linearised at their starts.
 
         With a fixed baseline, terms that act on commands are linearised beside the sensor faults of the explanation.
@@ -157,11 +157,11 @@ class Explorer:
         def made() -> list[Tangent]:
             left = self.objective.left_by(beside)
 
-            def line(one: Tangent) -> Tangent:
+            def linear(one: Tangent) -> Tangent:
                 acts = type(one.part.term).actuate is not Term.actuate
                 return tangent(self.objective, left, one.part, beside) if acts else one
 
-            return map_in_threads(line, further)
+            return map_in_threads(linear, further)
 
         return self._beside(key_of_terms(beside), made)
 
@@ -174,21 +174,21 @@ class Explorer:
         own = [part.candidate.term for part in current.parts]
         return {*own, *(one.term for one in self.candidates if repeats_a_delay([*own, one.term]))}
 
-    def promises(self, current: Fit, free: np.ndarray | None = None) -> list[tuple[float, Tangent]]:
+    def estimated_costs(self, current: Fit, free: np.ndarray | None = None) -> list[tuple[float, Tangent]]:
         """Return the estimated cost with each start of each candidate, in order of cost with price.
 
         `free` is as of `Tangent.cost`.
         """
         sensitivity_of(self.objective, current)
         taken = self.taken(current)
-        lines = [*self.lines_beside(current)]
+        tangents = [*self.tangents_beside(current)]
         for candidate, effect in self._effects:
             if candidate.term not in taken:
                 starts = scan_places(self.objective, current.residuals, candidate, effect)
-                lines += self._tangents_at([Part(candidate, start) for start in starts])
-        promises = map_in_threads(lambda one: (one.cost(current, free), one), lines)
+                tangents += self._tangents_at([Part(candidate, start) for start in starts])
+        estimates = map_in_threads(lambda one: (one.cost(current, free), one), tangents)
         return sorted(
-            promises,
+            estimates,
             key=lambda one: one[0] / self.variance_inflation + self.rules.price * one[1].part.candidate.complexity,
         )
 
@@ -197,27 +197,27 @@ class Explorer:
         sensitivity_of(self.objective, current)
         taken = self.taken(current)
         best: dict[str, tuple[float, Tangent]] = {}
-        for promised, line in map_in_threads(lambda one: (one.cost(current), one), self._tangents):
-            term = line.part.candidate.term
-            if term not in taken and (term not in best or promised < best[term][0]):
-                best[term] = promised, line
-        return [line for _, line in best.values()]
+        for estimated, linear in map_in_threads(lambda one: (one.cost(current), one), self._tangents):
+            term = linear.part.candidate.term
+            if term not in taken and (term not in best or estimated < best[term][0]):
+                best[term] = estimated, linear
+        return [linear for _, linear in best.values()]
 
     def _starts(
         self, current: Fit, free: np.ndarray | None = None, worth: float = np.inf
     ) -> dict[str, list[tuple[float, Tangent]]]:
         """Return the best starts by label of candidate, with estimated costs."""
         starts: dict[str, list[tuple[float, Tangent]]] = {}
-        for promised, line in self.promises(current, free):
-            label = line.part.candidate.label
-            most = self.rules.full_fits if promised <= worth else self.rules.considered
+        for estimated, linear in self.estimated_costs(current, free):
+            label = linear.part.candidate.label
+            most = self.rules.full_fits if estimated <= worth else self.rules.considered
             if label in starts or len(starts) < most:
-                starts.setdefault(label, []).append((promised, line))
+                starts.setdefault(label, []).append((estimated, linear))
         return starts
 
     def _fits(self, current: Fit, starts: dict[str, list[tuple[float, Tangent]]]) -> list[Fit]:
         """Return fits of the starts, of two starts of a variant if the second one may be better, best first."""
-        found = map_distributed_with(self.objective, _fitted, [(current, promises) for promises in starts.values()])
+        found = map_distributed_with(self.objective, _fitted, [(current, estimates) for estimates in starts.values()])
         fits = [fit for several in found for fit in several]
         return sorted((fit for fit in fits if self.is_possible(fit, len(fit.parts) - 1)), key=self.price)
 
@@ -253,13 +253,13 @@ def repeats_a_delay(terms: Sequence[str]) -> bool:
 
 def _fitted(objective: MarginalLikelihood, asked: tuple[Fit, list[tuple[float, Tangent]]]) -> list[Fit]:
     """Return fits of the starts of one variant beside an explanation."""
-    current, promises = asked
+    current, estimates = asked
     fits: list[Fit] = []
-    for promised, line in promises:
+    for estimated, linear in estimates:
         # A second start is fitted if it may be better than the first fit.
-        if len(fits) < 2 and all(fit.cost >= promised for fit in fits):
-            parts = (*current.parts, line.part)
-            fits.append(fit_parts(objective, parts, known=current, lines=(line,)))
+        if len(fits) < 2 and all(fit.cost >= estimated for fit in fits):
+            parts = (*current.parts, linear.part)
+            fits.append(fit_parts(objective, parts, known=current, tangents=(linear,)))
     return fits
 
 

@@ -96,7 +96,7 @@ def sensitivity_of(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
 
 
 def fit_parts(
-    objective: MarginalLikelihood, parts: Sequence[Part], *, known: Fit | None = None, lines: Sequence[Tangent] = ()
+    objective: MarginalLikelihood, parts: Sequence[Part], *, known: Fit | None = None, tangents: Sequence[Tangent] = ()
 ) -> Fit:
     """Return a joint fit of all parameters of parts, started at the parts' values.
 
@@ -104,13 +104,13 @@ def fit_parts(
     ----------
     known : Fit, optional
         A fit on the same objective. Its derivatives with respect to parts in common are used for the first step.
-    lines : sequence of Tangent
+    tangents : sequence of Tangent
         Derivatives of further parts for the first step.
     """
     parts = tuple(parts)
     # The effect of a place is not differentiable at its ends, so that derivatives cannot be reused.
-    lines = () if any(part.candidate.located for part in parts) else lines
-    return _fit(objective, parts, _ITERATIONS, known=known, lines=lines)
+    tangents = () if any(part.candidate.located for part in parts) else tangents
+    return _fit(objective, parts, _ITERATIONS, known=known, tangents=tangents)
 
 
 def refitted(objective: MarginalLikelihood, asked: tuple[Sequence[Part], Fit]) -> Fit:
@@ -169,7 +169,7 @@ def _fit(
     iterations: int,
     pulls: tuple[np.ndarray, np.ndarray] | None = None,
     known: Fit | None = None,
-    lines: Sequence[Tangent] = (),
+    tangents: Sequence[Tangent] = (),
 ) -> Fit:
     """Return a joint fit by at most so many iterations.
 
@@ -219,9 +219,9 @@ def _fit(
         return slopes_of(jacobian, *after, missed) if missed < _BENT else None
 
     first, placed = evaluate(x), any(part.candidate.located for part in parts)
-    shared = _shared_slopes(parts, known, lines, steps)
+    shared = _shared_slopes(parts, known, tangents, steps)
     begun = linearise(x, first[1], shared) if shared else None
-    if begun is not None and (lines or len(shared) < len(x)):
+    if begun is not None and (tangents or len(shared) < len(x)):
         begun = replace(begun, doubt=np.inf)  # a fit must not end with derivatives of another one
     found = descend(
         lambda at: first if at is x else evaluate(at),
@@ -265,10 +265,10 @@ def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarr
 
 
 def _shared_slopes(
-    parts: Sequence[Part], known: Fit | None, lines: Sequence[Tangent], steps: np.ndarray
+    parts: Sequence[Part], known: Fit | None, tangents: Sequence[Tangent], steps: np.ndarray
 ) -> dict[int, np.ndarray]:
     """Return known derivatives per step, shape (R,) each, by the number of the parameter."""
-    of_lines = {id(line.part): line.slopes for line in lines}
+    of_tangents = {id(linear.part): linear.slopes for linear in tangents}
     of_fit = {}
     for part in known.parts if known is not None and known.sensitivity.shape[1] else ():
         first = sum(slopes.shape[1] for slopes in of_fit.values())
@@ -276,8 +276,8 @@ def _shared_slopes(
     columns, number = {}, 0
     for part in parts:
         for i in range(len(part.values)):
-            if id(part) in of_lines:
-                columns[number] = of_lines[id(part)][:, i]
+            if id(part) in of_tangents:
+                columns[number] = of_tangents[id(part)][:, i]
             elif id(part) in of_fit:
                 columns[number] = of_fit[id(part)][:, i] * steps[number]
             number += 1
@@ -336,8 +336,8 @@ class Tangent:
             seen = free.T @ rows
             products -= seen.T @ seen
         normal, score = products[:-1, :-1], products[:-1, -1]
-        promised = score @ np.linalg.solve(normal + RIDGE * np.eye(len(score)), score)
-        return float(products[-1, -1] - promised)
+        estimated = score @ np.linalg.solve(normal + RIDGE * np.eye(len(score)), score)
+        return float(products[-1, -1] - estimated)
 
 
 def of_length_one(columns: np.ndarray) -> np.ndarray:
@@ -362,8 +362,8 @@ def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside:
     here = objective.left_by(terms)
     moved = [[*beside, *terms_at(x + unit)] for unit in np.eye(len(x))]
     columns = [here - base, *(one - here for one in objective.left_by_each(moved, terms, here))]
-    lines = objective.whiten(np.stack(columns, axis=1))
-    return Tangent(part, np.ascontiguousarray(lines[:, 0]), np.ascontiguousarray(lines[:, 1:]))
+    rows = objective.whiten(np.stack(columns, axis=1))
+    return Tangent(part, np.ascontiguousarray(rows[:, 0]), np.ascontiguousarray(rows[:, 1:]))
 
 
 def _terms_of(parts: Sequence[Part], steps: np.ndarray) -> Callable[[np.ndarray], list[Term]]:

@@ -10,7 +10,7 @@ from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fits_without
 from split_cli.diagnosis.search.form_error import saved_beside_form_error, share_of_error
-from split_cli.diagnosis.search.pairs import promised_pairs, with_pair
+from split_cli.diagnosis.search.pairs import estimated_pairs, with_pair
 from split_cli.diagnosis.search.term_tests import (
     exceeds_simulation_scatter,
     is_denied,
@@ -207,13 +207,13 @@ def hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
         The explanation with the best single term, if there is one.
     """
     rules, enough = explore.rules, explore.price(chosen if best is None else best)
-    promised = promised_pairs(explore, chosen)
+    estimated = estimated_pairs(explore, chosen)
     if best is not None:
         own = best.parts[-1].candidate.term
-        with_best = (one for one, *pair in promised if own in {line.part.candidate.term for line in pair})
+        with_best = (one for one, *pair in estimated if own in {linear.part.candidate.term for linear in pair})
         enough = min(enough, next(with_best, np.inf))
-    for promise, first, second in promised[: rules.considered]:
-        if promise > enough - rules.price:
+    for estimate, first, second in estimated[: rules.considered]:
+        if estimate > enough - rules.price:
             break
         fit = with_pair(explore, chosen, (first, second))
         if fit is None or explore.price(fit) > enough - rules.price or goes_too_far(chosen, fit):

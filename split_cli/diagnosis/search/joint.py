@@ -33,7 +33,7 @@ _NO_EFFECT = 1e-12  # least curvature of the cost, per squared step, for scaling
 _TRIED = 2  # parts whose removal is tried by a refit: those that cost least to first order [1]
 
 
-def promised_by_all(explore: Explorer, current: Fit) -> float:
+def estimated_saving_of_all(explore: Explorer, current: Fit) -> float:
     """Return what a linear fit of all terms beside an explanation would save beyond chance [chi squared].
 
     Notes
@@ -41,8 +41,8 @@ def promised_by_all(explore: Explorer, current: Fit) -> float:
     e^T P e less the number of columns, with the residuals e and the projection P onto [D S]: the derivatives D of terms
     at their best starts, and the sensitivity S of the explanation. Of noise, each column saves 1.
     """
-    lines = [one.slopes for one in explore.first_tangents(current)]
-    columns = of_length_one(np.hstack([*lines, sensitivity_of(explore.objective, current)]))
+    tangents = [one.slopes for one in explore.first_tangents(current)]
+    columns = of_length_one(np.hstack([*tangents, sensitivity_of(explore.objective, current)]))
     score = columns.T @ current.residuals
     normal = columns.T @ columns + 1e-6 * np.eye(len(score))
     return float(score @ np.linalg.solve(normal, score)) / explore.variance_inflation - len(score)
@@ -114,11 +114,11 @@ def at_its_least(explore: Explorer, nothing: Fit, fit: Fit) -> tuple[Fit, tuple[
 
 
 def cheapest_first(explore: Explorer, fit: Fit) -> list[int]:
-    """Return the numbers of a fit's parts in ascending order of `promised_without`."""
-    return [int(k) for k in np.argsort(promised_without(explore, fit))]
+    """Return the numbers of a fit's parts in ascending order of `estimated_removal_costs`."""
+    return [int(k) for k in np.argsort(estimated_removal_costs(explore, fit))]
 
 
-def promised_without(explore: Explorer, fit: Fit) -> np.ndarray:
+def estimated_removal_costs(explore: Explorer, fit: Fit) -> np.ndarray:
     """Return the estimated cost of removing each part less its price, shape (parts,) [chi squared]."""
     steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
     slopes = sensitivity_of(explore.objective, fit) * steps
@@ -126,7 +126,7 @@ def promised_without(explore: Explorer, fit: Fit) -> np.ndarray:
     return np.array([one for one, _ in worth])
 
 
-def promised_without_several(explore: Explorer, fit: Fit) -> tuple[float, tuple[int, ...]]:
+def estimated_removal_of_several(explore: Explorer, fit: Fit) -> tuple[float, tuple[int, ...]]:
     """Return the estimated cost of removing several parts less their price, and their numbers, for the best set.
 
     Sets are formed by removing the cheapest part again and again. Two terms that share an effect may each be worth the

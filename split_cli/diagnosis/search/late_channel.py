@@ -34,8 +34,8 @@ def with_late_channel(
     part = late_by_witnesses(objective, candidates, base.parts)
     if part is None:
         return None
-    line = tangent(objective, objective.left_by(base.terms), part, base.terms)
-    fit = _as_it_is(objective, line, base)
+    linear = tangent(objective, objective.left_by(base.terms), part, base.terms)
+    fit = _as_it_is(objective, linear, base)
     p_value = witnessed_p(objective, fit, len(base.parts), base, rules) * len(candidates)
     seen = objective.witnesses_cost(base.residuals) - objective.witnesses_cost(fit.residuals)
     lost = fit.cost - base.cost + seen
@@ -46,7 +46,7 @@ def with_late_channel(
     return replace(
         before,
         chosen=fit,
-        without=(*(_as_it_is(objective, line, one) for one in before.without), base),
+        without=(*(_as_it_is(objective, linear, one) for one in before.without), base),
         rivals=(*before.rivals, ()),
         siblings=(*before.siblings, ()),
         named=(*before.named, True),
@@ -129,9 +129,9 @@ def _saved_along(
     return most
 
 
-def _as_it_is(objective: MarginalLikelihood, line: Tangent, base: Fit) -> Fit:
+def _as_it_is(objective: MarginalLikelihood, linear: Tangent, base: Fit) -> Fit:
     """Return an explanation with one further part at its values, without a refit."""
-    residuals = base.residuals + line.moved
-    steps = np.array([line.part.candidate.ranges[name].step for name in line.part.values])
-    sensitivity = np.hstack([sensitivity_of(objective, base), line.slopes / steps])
-    return Fit((*base.parts, line.part), float(residuals @ residuals), residuals, sensitivity)
+    residuals = base.residuals + linear.moved
+    steps = np.array([linear.part.candidate.ranges[name].step for name in linear.part.values])
+    sensitivity = np.hstack([sensitivity_of(objective, base), linear.slopes / steps])
+    return Fit((*base.parts, linear.part), float(residuals @ residuals), residuals, sensitivity)

@@ -124,7 +124,7 @@ def most_saved(objective: MarginalLikelihood, columns: np.ndarray, residuals: np
 
 def strongest_beside_tolerated(
     objective: MarginalLikelihood,
-    lines: Callable[[], Sequence[Tangent]],
+    tangents: Callable[[], Sequence[Tangent]],
     variance_inflation: float,
     base: Fit,
     chosen: Fit,
@@ -135,59 +135,59 @@ def strongest_beside_tolerated(
     """
     tolerated = [part for part in chosen.parts if part.is_within_tolerance]
     fit = fit_parts(objective, tolerated, known=chosen) if tolerated else base
-    return strongest_part(objective, lines(), fit.residuals, variance_inflation)
+    return strongest_part(objective, tangents(), fit.residuals, variance_inflation)
 
 
 def strongest_part(
-    objective: MarginalLikelihood, lines: Sequence[Tangent], residuals: np.ndarray, variance_inflation: float
+    objective: MarginalLikelihood, tangents: Sequence[Tangent], residuals: np.ndarray, variance_inflation: float
 ) -> ActingPart | None:
     """Return the part of the drive and the term with the smallest p value; None if no part is long enough.
 
     Parameters
     ----------
-    lines : sequence of Tangent
+    tangents : sequence of Tangent
         Terms, linearised.
     residuals : ndarray, shape (R,)
         Whitened, of the explanation without any term of the car.
     """
     widened = max(variance_inflation, objective.form_error_inflation)
-    lines = [line for line in lines if not _has_witnesses(objective, line)]
+    tangents = [linear for linear in tangents if not _has_witnesses(objective, linear)]
 
-    def asked(line: Tangent) -> tuple[int, list[tuple[ActingPart, tuple[int, int]]]]:
-        sizes = _sizes(line)
+    def asked(linear: Tangent) -> tuple[int, list[tuple[ActingPart, tuple[int, int]]]]:
+        sizes = _sizes(linear)
         if not sizes:
             return 0, []
-        parts = parts_of_drive(objective, line.slopes[:, sizes], residuals)
+        parts = parts_of_drive(objective, linear.slopes[:, sizes], residuals)
         found = []
         rules = objective.policy
         agree = (parts.z > rules.comparison.deviations) | (parts.t > rules.selection.sure)
         for column, k in enumerate(sizes):
             saved = np.where(agree[:, column], parts.saved[:, column], 0.0)
             for w in np.argsort(-saved)[: rules.selection.considered]:
-                one = _stretch(objective, line, k, parts, int(w), column, widened) if saved[w] > widened else None
+                one = _stretch(objective, linear, k, parts, int(w), column, widened) if saved[w] > widened else None
                 if one is not None:
                     found.append((one, (int(parts.first[w]), int(parts.last[w]))))
         return parts.saved.size, found
 
-    answers = map_in_threads(asked, lines)
+    answers = map_in_threads(asked, tangents)
     tried = sum(count for count, _ in answers)
     every = (one for _, found in answers for one in found)
     best, blocks = min(every, key=lambda one: one[0].p_value, default=(None, (0, 0)))
     if best is None:
         return None
-    readings = _readings(objective, lines, residuals, blocks, widened)
+    readings = _readings(objective, tangents, residuals, blocks, widened)
     return replace(best, p_value=min(1.0, best.p_value * tried), readings=readings)
 
 
-def _sizes(line: Tangent) -> list[int]:
-    """Return the numbers of a line's parameters that have a neutral value."""
-    neutral = CATALOGUE[line.part.candidate.term].neutral
-    return [k for k, name in enumerate(line.part.values) if neutral.get(name) is not None]
+def _sizes(linear: Tangent) -> list[int]:
+    """Return the numbers of a linear's parameters that have a neutral value."""
+    neutral = CATALOGUE[linear.part.candidate.term].neutral
+    return [k for k, name in enumerate(linear.part.values) if neutral.get(name) is not None]
 
 
 def _readings(
     objective: MarginalLikelihood,
-    lines: Sequence[Tangent],
+    tangents: Sequence[Tangent],
     residuals: np.ndarray,
     blocks: tuple[int, int],
     widened: float,
@@ -196,7 +196,7 @@ def _readings(
 
     Parameters
     ----------
-    objective, lines, residuals
+    objective, tangents, residuals
         As for `strongest_part`.
     blocks : tuple of int
         First and last block of the part.
@@ -212,16 +212,16 @@ def _readings(
     inside = (block >= blocks[0]) & (block <= blocks[1])
     own, e = block[inside] - blocks[0], residuals[: len(block)][inside]
     best: dict[str, tuple[float, PartReading]] = {}
-    for line in lines:
-        one, names = line.part.candidate, list(line.part.values)
-        for k in _sizes(line):
-            d = line.slopes[: len(block), k][inside]
+    for linear in tangents:
+        one, names = linear.part.candidate, list(linear.part.values)
+        for k in _sizes(linear):
+            d = linear.slopes[: len(block), k][inside]
             score, known = np.bincount(own, d * e), np.bincount(own, d * d)
             if known.sum() <= 0.0:
                 continue
             steps = float(score.sum() / known.sum())
             saved = steps * float(score.sum())
-            values = _at(one, line.part.values, names[k], steps)
+            values = _at(one, linear.part.values, names[k], steps)
             if one.is_within_tolerance(values) or one.at_limit(values):
                 continue
             scores = float(np.linalg.norm(score - steps * known)) / known.sum()
@@ -240,21 +240,21 @@ def _reading(one: Candidate, name: str, value: float, error: float, deviations: 
     return PartReading(one.term, name, ParameterEstimate(value, error, unit, (float(ends[0]), float(ends[1]))))
 
 
-def _has_witnesses(objective: MarginalLikelihood, line: Tangent) -> bool:
-    """Return whether a line is a sensor fault that changes witnesses.
+def _has_witnesses(objective: MarginalLikelihood, linear: Tangent) -> bool:
+    """Return whether a linear is a sensor fault that changes witnesses.
 
     Parts of a drive are tested without witnesses. There model-form error may look like a late channel, which witnesses
     would deny.
     """
-    return line.part.term.corrects and bool(objective.of_witnesses(line.slopes).any())
+    return linear.part.term.corrects and bool(objective.of_witnesses(linear.slopes).any())
 
 
 def _stretch(
-    objective: MarginalLikelihood, line: Tangent, k: int, parts: Parts, w: int, column: int, widened: float
+    objective: MarginalLikelihood, linear: Tangent, k: int, parts: Parts, w: int, column: int, widened: float
 ) -> ActingPart | None:
     """Return a term in a part of the drive with its p value; None if it is a sensor error within tolerance."""
-    one, name = line.part.candidate, list(line.part.values)[k]
-    values = _at(one, line.part.values, name, float(parts.size[w, column]))
+    one, name = linear.part.candidate, list(linear.part.values)[k]
+    values = _at(one, linear.part.values, name, float(parts.size[w, column]))
     if one.is_within_tolerance(values):
         return None
     term, inside = one.build(values), _rows_of(objective, int(parts.first[w]), int(parts.last[w]))

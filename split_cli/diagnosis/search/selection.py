@@ -33,7 +33,7 @@ from split_cli.diagnosis.search.forward import (
     search_forward,
     sizes_with_form_error,
 )
-from split_cli.diagnosis.search.joint import all_at_once, at_its_least, cheapest_first, promised_by_all
+from split_cli.diagnosis.search.joint import all_at_once, at_its_least, cheapest_first, estimated_saving_of_all
 from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_beside_tolerated
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
@@ -183,7 +183,7 @@ def select_terms(
 
 def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
     """Return the joint fit of all terms, without those that are refused beside the others; None if it is no better."""
-    if promised_by_all(explore, chosen) < explore.rules.price:
+    if estimated_saving_of_all(explore, chosen) < explore.rules.price:
         return None
     fit = all_at_once(explore, base, chosen)
     left = len(fit.parts)
