@@ -76,8 +76,8 @@ def test_what_ends_at_what_a_car_can_have_is_nameless_by_its_share():
     assert nameless == {"tire_stiffness": 0.4}
     assert findings._nameless_shares(selection, {"road_bank"}) == {"tire_stiffness": 0.4, "road_bank": 0.2}
     told, left = [SimpleNamespace(term="steer_gain", gap_explained=0.08)], SimpleNamespace(share=0.0)
-    assert findings._imitating(told, left, (), RULES) == set()
-    assert findings._imitating(told, left, (), RULES, nameless) == {"steer_gain", "tire_stiffness"}
+    assert findings._possibly_imitating(told, left, (), RULES) == set()
+    assert findings._possibly_imitating(told, left, (), RULES, nameless) == {"steer_gain", "tire_stiffness"}
 
 
 def finding(term: str, **intervals: tuple[float, float]) -> Finding:
@@ -109,20 +109,20 @@ def test_what_explains_no_more_than_is_left_and_its_untrusted_look_alikes_has_no
     left = SimpleNamespace(share=0.08)
     shares = {"friction_scale": 0.6, "cg_shift": 0.1, "tire_stiffness": 0.03}
     told = [SimpleNamespace(term=term, gap_explained=share) for term, share in shares.items()]
-    assert findings._imitating(told, left, (), RULES) == {"cg_shift", "tire_stiffness"}
-    assert findings._imitating(told[:2], left, (), RULES) == set()
+    assert findings._possibly_imitating(told, left, (), RULES) == {"cg_shift", "tire_stiffness"}
+    assert findings._possibly_imitating(told[:2], left, (), RULES) == set()
     # A lag of the drive looks like neither.
     beside = SimpleNamespace(term="drive_lag", gap_explained=0.1)
-    assert findings._imitating([*told, beside], left, (), RULES) == {"cg_shift", "tire_stiffness"}
+    assert findings._possibly_imitating([*told, beside], left, (), RULES) == {"cg_shift", "tire_stiffness"}
     # A stiffness that stays in the fit without a name explains no less for that.
     without, beside = [told[0], told[1]], {"tire_stiffness": 0.03}
-    assert findings._imitating(without, left, (), RULES, beside) == {"cg_shift", "tire_stiffness"}
-    assert findings._imitating(without, left, (), RULES, {"drive_lag": 0.5}) == {"drive_lag"}
+    assert findings._possibly_imitating(without, left, (), RULES, beside) == {"cg_shift", "tire_stiffness"}
+    assert findings._possibly_imitating(without, left, (), RULES, {"drive_lag": 0.5}) == {"drive_lag"}
     # What has to bend by the greater part of itself stands for something else, and so may what looks like it.
     nothing_left = SimpleNamespace(share=0.0)
     for size, out in ((0.3, set()), (0.7, {"cg_shift", "tire_stiffness"})):
         bent = [Bend("cg_shift", "front slip", size, 1e-9)]
-        assert findings._imitating(told, nothing_left, bent, RULES) == out
+        assert findings._possibly_imitating(told, nothing_left, bent, RULES) == out
 
 
 @pytest.mark.parametrize(

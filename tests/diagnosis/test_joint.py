@@ -14,11 +14,11 @@ from split_cli.diagnosis.search.joint import (
     _PartColumns,
     _worth,
     all_at_once,
-    at_its_least,
     cheapest_first,
     estimated_removal_of_several,
     estimated_saving_of_all,
-    near_none,
+    near_neutral,
+    out_of_local_minimum,
     without_needless,
 )
 from split_cli.diagnosis.search.selection import nothing
@@ -63,10 +63,10 @@ def test_no_part_hinders_an_explanation_that_is_at_its_least(explore):
     true = [Part(one, TRUE[one.term]) for one in explore.candidates if one.term in TRUE and not one.variant]
     stuck = evaluated(explore.objective, (*true, Part(hinders, dict(hinders.starts[0]))))
     assert fit_parts(explore.objective, true).cost < stuck.cost
-    fit, without = at_its_least(explore, base, stuck)
+    fit, without = out_of_local_minimum(explore, base, stuck)
     assert fit.cost < stuck.cost and [part.candidate for part in fit.parts] == [p.candidate for p in stuck.parts]
     assert min(one.cost for one in without) > fit.cost - explore.rules.tie * explore.variance_inflation
-    least = fit_parts(explore.objective, (*true, near_none(stuck.parts[-1])))
+    least = fit_parts(explore.objective, (*true, near_neutral(stuck.parts[-1])))
     assert fit.cost == pytest.approx(least.cost, rel=1e-3)
 
 

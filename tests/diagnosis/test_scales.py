@@ -13,7 +13,7 @@ from split_cli.diagnosis.recording.witnesses import build_witnesses
 from split_cli.diagnosis.search.baselines import SearchOutcome, with_witnessed_names
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection
-from split_cli.diagnosis.search.term_tests import is_denied
+from split_cli.diagnosis.search.term_tests import contradicts_yaw
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping, read_schema
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict.findings import _stays_beside
@@ -87,7 +87,7 @@ def test_yaw_denies_a_bias_of_the_yaw_rate_that_is_not_there(bias):
 
     def denied(term: str, values: dict[str, float]) -> bool:
         (one,) = (one for one in candidates_of(objective, term) if not one.variant)
-        return is_denied(objective, Fit((Part(one, values),), 0.0, np.empty(0), np.empty((0, 0))), 0)
+        return contradicts_yaw(objective, Fit((Part(one, values),), 0.0, np.empty(0), np.empty((0, 0))), 0)
 
     assert denied("yaw_rate_bias", {"r": 0.02}) is (bias == 0.0)
     assert denied("yaw_rate_scale", {"scale": 1.1}) or bias
@@ -105,7 +105,7 @@ def test_a_yaw_that_was_integrated_from_the_yaw_rate_denies_nothing():
         objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series))
         (one,) = (one for one in candidates_of(objective, "yaw_rate_bias") if not one.variant)
         fit = Fit((Part(one, {"r": 0.02}),), 0.0, np.empty(0), np.empty((0, 0)))
-        assert is_denied(objective, fit, 0) is of_its_own
+        assert contradicts_yaw(objective, fit, 0) is of_its_own
 
 
 def test_where_drives_have_little_in_common_only_witnessed_faults_keep_their_names():

@@ -174,10 +174,10 @@ def test_names_are_given_in_the_order_of_size_not_of_finding():
     for ordered, expected in ((parts, (False, True)), (parts[::-1], (True, False))):
         fit = fit_parts(objective, ordered)
         without = without_parts(objective, nothing(objective), fit)
-        assert selecting._believed_together(explore, fit, without, (True, True)) == expected
+        assert selecting._named_together(explore, fit, without, (True, True)) == expected
         # What is not sure is no name, and nothing is a model-form error of it.
         backwards = expected[::-1]
-        assert selecting._believed_together(explore, fit, without, backwards) == backwards
+        assert selecting._named_together(explore, fit, without, backwards) == backwards
 
 
 def test_two_terms_are_found_behind_one_that_is_the_best_alone():

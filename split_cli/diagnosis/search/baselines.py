@@ -98,34 +98,34 @@ def search(
     """
     progress("comparing")
     objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy)
-    known = _known(case, candidates, reach, policy)
-    known_fixed = cache(partial(_known, case, candidates, reach, policy, fixed_baseline=True))
+    tested = _self_test_of(case, candidates, reach, policy)
+    tested_fixed = cache(partial(_self_test_of, case, candidates, reach, policy, fixed_baseline=True))
     progress("naming")
-    found = _search_by_baselines(candidates, objective, known, known_fixed, progress)
+    found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress)
     late = [term for term in found.selection.terms if term.moves_samples]
     if not late:
         return found
     progress("naming with the late channel put right")
-    return _search_by_baselines(candidates, objective.with_residue_moved(late), known, known_fixed, progress)
+    return _search_by_baselines(candidates, objective.with_residue_moved(late), tested, tested_fixed, progress)
 
 
 def _search_by_baselines(
     candidates: Sequence[Candidate],
     objective: MarginalLikelihood,
-    known: SelfTest,
-    known_fixed: Callable[[], SelfTest],
+    tested: SelfTest,
+    tested_fixed: Callable[[], SelfTest],
     progress: Callable[[str], None],
 ) -> SearchOutcome:
     """Search with a marginalised baseline, and with a fixed one if model-form error is large.
 
-    `known` and `known_fixed` are the self-tests of the simulation with either baseline.
+    `tested` and `tested_fixed` are the self-tests of the simulation with either baseline.
     """
-    first = _search(objective, candidates, known)
-    if known.ratio <= objective.policy.selection.much_over_noise:
+    first = _search(objective, candidates, tested)
+    if tested.ratio <= objective.policy.selection.much_over_noise:
         asked = first.structure.objective, first.selection, candidates, first.variance_inflation
         return replace(first, selection=with_offset_of_straights(*asked))
     progress("naming with a fixed baseline")
-    again = search_with_fixed_baseline(candidates, objective, known_fixed())
+    again = search_with_fixed_baseline(candidates, objective, tested_fixed())
     again = with_names_of_first(first, again, candidates)
     found = reconciled(first, again, objective.policy.selection)
     asked = found if any(found.selection.named) else again
@@ -134,7 +134,7 @@ def _search_by_baselines(
 
 
 def search_with_fixed_baseline(
-    candidates: Sequence[Candidate], objective: MarginalLikelihood, known: SelfTest
+    candidates: Sequence[Candidate], objective: MarginalLikelihood, tested: SelfTest
 ) -> SearchOutcome:
     """Search with a fixed baseline on the rows and with the policy of a marginalised objective."""
     policy = objective.policy
@@ -142,7 +142,7 @@ def search_with_fixed_baseline(
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
     # Small terms are model-form error here, and would share the saving of a delay.
     alone = replace(policy, selection=replace(policy.selection, most_nuisances=0))
-    return _search(replace(objective.with_fixed_baseline(), policy=alone), wide, known)
+    return _search(replace(objective.with_fixed_baseline(), policy=alone), wide, tested)
 
 
 def reconciled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -> SearchOutcome:
@@ -283,7 +283,7 @@ def with_witnessed_names(outcome: SearchOutcome) -> SearchOutcome:
     return replace(outcome, selection=_only_named(outcome.selection, seen))
 
 
-def _known(
+def _self_test_of(
     case: DiagnosisCase, candidates: Sequence[Candidate], reach: float, policy: Policy, *, fixed_baseline: bool = False
 ) -> SelfTest:
     """Return the self-test of the simulation; one without rows if there is no simulation."""
@@ -302,19 +302,19 @@ def _known(
     )
 
 
-def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], known: SelfTest) -> SearchOutcome:
+def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], tested: SelfTest) -> SearchOutcome:
     """Search on one objective, with the thresholds of a self-test."""
-    objective = known.allow(objective)
+    objective = tested.allow(objective)
     pieces = [flexible_rows(one, objective.discrepancy) for one in objective.evidence]
-    structure = build_structure(objective, pieces, known.floor(known.unnamed, objective))
-    floors = {group: known.floor(saved, objective) for group, saved in known.swinging.items()}
+    structure = build_structure(objective, pieces, tested.floor(tested.unnamed, objective))
+    floors = {group: tested.floor(saved, objective) for group, saved in tested.swinging.items()}
     oscillators = build_oscillators(objective, list(map(oscillator_rows, objective.evidence)), floors)
     base = nothing(objective)
     variance_inflation = max(
         objective.policy.comparison.variance_inflation, residual_autocorrelation(structure, base.residuals).ratio
     )
     gap = structure.fit(base.residuals, variance_inflation)
-    objective = replace(objective, form_error_inflation=known.form_error_inflation_of(gap, objective.policy))
+    objective = replace(objective, form_error_inflation=tested.form_error_inflation_of(gap, objective.policy))
     structure, oscillators = replace(structure, objective=objective), oscillators.with_objective(objective)
     policy = objective.policy
 
@@ -330,4 +330,4 @@ def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], know
         lambda fit: is_structure(fit.residuals),
     )
     selection = with_variants_by_rollout(structure, candidates, selection, variance_inflation)
-    return SearchOutcome(structure, gap, selection, known, variance_inflation, (objective,), oscillators)
+    return SearchOutcome(structure, gap, selection, tested, variance_inflation, (objective,), oscillators)

@@ -14,8 +14,8 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fit_with_prior
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
-from split_cli.diagnosis.search.forward import goes_too_far, refusal, sizes_with_form_error
-from split_cli.diagnosis.search.joint import at_its_least, near_none, prior_of, without_needless
+from split_cli.diagnosis.search.forward import leaves_car_range, refusal, sizes_with_form_error
+from split_cli.diagnosis.search.joint import near_neutral, out_of_local_minimum, prior_of, without_needless
 from split_cli.diagnosis.search.term_tests import is_form_error, is_witnessed, sizes_in_velocity
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -56,11 +56,11 @@ def physics_of_every_car(explore: Explorer, nothing: Fit) -> Fit:
     Each parameter starts near neutral with a prior as wide as a car's range. The last fit is without the prior.
     """
     lines = [one for one in explore.first_tangents(nothing) if CATALOGUE[one.part.candidate.term].in_every_car]
-    parts = [near_none(one.part) for one in lines]
+    parts = [near_neutral(one.part) for one in lines]
     priors = [prior_of(part.candidate, explore.rules.deviations) for part in parts]
     fit, _ = fit_with_prior(explore.objective, parts, priors)
     whole = without_needless(explore, _in_best_variants(explore, fit_parts(explore.objective, fit.parts)))
-    return at_its_least(explore, nothing, whole)[0]
+    return out_of_local_minimum(explore, nothing, whole)[0]
 
 
 def _in_best_variants(explore: Explorer, fit: Fit) -> Fit:
@@ -105,7 +105,7 @@ def _with_further_terms(explore: Explorer, whole: Fit) -> tuple[Fit, list[str]]:
         sizes = sizes_with_form_error(explore.objective, whole.terms)
         for fit in explore.beyond_form_error(whole)[: explore.rules.considered]:
             saved = explore.price(whole) - explore.price(fit)
-            if saved > 0.0 and _changes_enough(explore, whole, fit, sizes) and not goes_too_far(whole, fit):
+            if saved > 0.0 and _changes_enough(explore, whole, fit, sizes) and not leaves_car_range(whole, fit):
                 history.append(f"added {fit.parts[-1].candidate.label}, saves {saved:.0f}")
                 whole = fit
                 break

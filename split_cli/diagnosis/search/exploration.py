@@ -24,7 +24,7 @@ from split_cli.diagnosis.search.fitting import (
     without_parts,
 )
 from split_cli.diagnosis.search.form_error import forget_form_error, free_to_form_error, saved_beside_form_error
-from split_cli.diagnosis.search.term_tests import is_denied
+from split_cli.diagnosis.search.term_tests import contradicts_yaw
 from split_cli.logs.drive import INPUT_CHANNELS
 from split_cli.vehicle.effects import CATALOGUE, Term
 
@@ -223,7 +223,7 @@ class Explorer:
 
     def is_possible(self, fit: Fit, k: int) -> bool:
         """Return whether part k of a fit is not a degenerate stretch or another term, and not denied by yaw."""
-        return not (self.is_everywhere(fit.parts[k]) or is_denied(self.objective, fit, k))
+        return not (self.is_everywhere(fit.parts[k]) or contradicts_yaw(self.objective, fit, k))
 
     def is_everywhere(self, part: Part) -> bool:
         """Return whether a stretch covers nearly the whole track, or a term equals another one at its values."""

@@ -20,7 +20,7 @@ _LEAST_GAIN = 0.02  # gain of a step below which a fit ends [chi squared]
 #: Error of the predicted change of the residuals, over that change, up to which derivatives are updated instead of
 #: computed [1]. Judgement: nine drives of development keep verdicts, names and sizes to 0.01 standard errors.
 #: Derivatives are computed whenever a step gains nothing, so this affects time and no result.
-_BENT = 0.1
+_MOST_UPDATE_ERROR = 0.1
 RIDGE = 1e-9  # ridge on columns of length 1, so that systems with collinear columns can be solved [1]
 _PLACES = 50  # parts of a lap in the search for a stretch [1]
 #: Degrees of freedom that the choice among all stretches adds [1]: 2 ln of their number.
@@ -155,10 +155,10 @@ def fit_with_prior(
             step = part.candidate.ranges[name].step
             means.append(prior[name].mean / step if name in prior else 0.0)
             roots.append(step / prior[name].deviation if name in prior else 0.0)
-    pulls = np.array(means), np.array(roots) ** 2
-    fit = _fit(objective, parts, _JOINT_ITERATIONS, pulls)
+    priors = np.array(means), np.array(roots) ** 2
+    fit = _fit(objective, parts, _JOINT_ITERATIONS, priors)
     steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
-    curvature = np.outer(steps, steps) * (fit.sensitivity.T @ fit.sensitivity) + np.diag(pulls[1])
+    curvature = np.outer(steps, steps) * (fit.sensitivity.T @ fit.sensitivity) + np.diag(priors[1])
     fit.forget()
     return fit, curvature
 
@@ -167,19 +167,19 @@ def _fit(
     objective: MarginalLikelihood,
     parts: tuple[Part, ...],
     iterations: int,
-    pulls: tuple[np.ndarray, np.ndarray] | None = None,
+    priors: tuple[np.ndarray, np.ndarray] | None = None,
     known: Fit | None = None,
     tangents: Sequence[Tangent] = (),
 ) -> Fit:
     """Return a joint fit by at most so many iterations.
 
-    `pulls` are means and precisions of priors, in steps of the parameters.
+    `priors` are means and precisions of priors, in steps of the parameters.
 
     Notes
     -----
     Damped Gauss-Newton, see `descend`, with derivatives by forward differences. The effect of a term hardly depends on
     the others, so that the first step may use derivatives of another fit. Each step shows how accurate they are; then
-    they are updated (`_followed`), or computed again if the residuals are too nonlinear.
+    they are updated (`_broyden_update`), or computed again if the residuals are too nonlinear.
     """
     names = [(k, name) for k, part in enumerate(parts) for name in part.values]
     limits = [parts[k].candidate.ranges[name] for k, name in names]
@@ -189,7 +189,7 @@ def _fit(
     x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
 
     terms_at = _terms_of(parts, steps)
-    mean, precision = pulls if pulls is not None else (np.zeros(len(x)), np.zeros(len(x)))
+    mean, precision = priors if priors is not None else (np.zeros(len(x)), np.zeros(len(x)))
 
     def evaluate(x: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
         here = objective.left_by(terms_at(x))
@@ -215,8 +215,8 @@ def _fit(
         return slopes_of(jacobian, x, state)
 
     def follow(slopes: Slopes, before: tuple[np.ndarray, tuple], after: tuple[np.ndarray, tuple]) -> Slopes | None:
-        jacobian, missed = _followed(slopes, after[0] - before[0], after[1][1] - before[1][1])
-        return slopes_of(jacobian, *after, missed) if missed < _BENT else None
+        jacobian, missed = _broyden_update(slopes, after[0] - before[0], after[1][1] - before[1][1])
+        return slopes_of(jacobian, *after, missed) if missed < _MOST_UPDATE_ERROR else None
 
     first, placed = evaluate(x), any(part.candidate.located for part in parts)
     shared = _shared_slopes(parts, known, tangents, steps)
@@ -232,7 +232,7 @@ def _fit(
         enough=lambda gained, _: gained < _LEAST_GAIN,
         iterations=iterations,
         known=begun,
-        follow=None if pulls is not None or placed else follow,
+        follow=None if priors is not None or placed else follow,
     )
     residuals, jacobian = found.state[1], found.slopes.jacobian
     parts = _with(parts, names, found.parameters * steps)
@@ -240,7 +240,7 @@ def _fit(
     return Fit(parts, float(residuals @ residuals), residuals, np.divide(jacobian, steps, out=jacobian))
 
 
-def _followed(slopes: Slopes, step: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, float]:
+def _broyden_update(slopes: Slopes, step: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, float]:
     """Return updated derivatives after a step, shape (R, P), and the relative error of the old ones [1].
 
     Broyden's (1965) update: the smallest change with which they predict the change of the residuals, with parameters

@@ -12,8 +12,8 @@ from split_cli.diagnosis.search.fitting import Fit, fits_without
 from split_cli.diagnosis.search.form_error import saved_beside_form_error, share_of_error
 from split_cli.diagnosis.search.pairs import estimated_pairs, with_pair
 from split_cli.diagnosis.search.term_tests import (
+    contradicts_yaw,
     exceeds_simulation_scatter,
-    is_denied,
     is_form_error,
     is_spread,
     is_witnessed,
@@ -27,13 +27,13 @@ from split_cli.diagnosis.search.term_tests import (
 from split_cli.vehicle.effects import Term
 
 #: Reasons of a refusal, for the history.
-_DENIED = "contradicted by the recorded yaw"
-_ONCE = "nearly all of it in a few moments"
+_AGAINST_YAW = "contradicted by the recorded yaw"
+_FEW_MOMENTS = "nearly all of it in a few moments"
 _FORM_ERROR = "within the model-form error of the other terms"
 
 
 @dataclass(frozen=True)
-class Found:
+class ForwardResult:
     """Result of a forward search."""
 
     # chosen, with_refused: the explanation of named and nuisance terms, and that with the term refused last.
@@ -43,7 +43,7 @@ class Found:
     history: tuple[str, ...]  # in words
     first_p: float  # as in `Selection`
 
-    def with_what_matters(self, base: Fit, rules: SelectionRules) -> Fit:
+    def with_large_refused(self, base: Fit, rules: SelectionRules) -> Fit:
         """Return the explanation with the refused term if that saves more than model-form error.
 
         Without it the other terms would take up its effect.
@@ -52,14 +52,14 @@ class Found:
         return self.with_refused if refused > rules.form_error_cost * saved else self.chosen
 
     @property
-    def left_something(self) -> bool:
+    def leaves_remainder(self) -> bool:
         """Whether several terms, or a refused one, show that the first term leaves something."""
         return self.names > 1 or self.with_refused is not self.chosen
 
 
 def search_forward(
     explore: Explorer, base: Fit, first: Sequence[Fit] = (), begun: Fit | None = None, nuisances: int = 0
-) -> Found:
+) -> ForwardResult:
     """Add terms while they pass their tests, beginning with the best of `first`, or with `begun`.
 
     Parameters
@@ -82,7 +82,7 @@ def search_forward(
         return explore.price(chosen) - explore.price(fit)
 
     def worth_it(fits: Sequence[Fit]) -> list[Fit]:
-        return [fit for fit in fits if price_saved(fit) > 0.0 and not goes_too_far(chosen, fit)]
+        return [fit for fit in fits if price_saved(fit) > 0.0 and not leaves_car_range(chosen, fit)]
 
     while True:
         fits = worth_it(first if chosen is base else explore(chosen))
@@ -91,10 +91,10 @@ def search_forward(
         best = fits[0]
         # Beside nuisance terms alone, a term cannot be the model-form error of a named one.
         if len(chosen.parts) > nuisances:
-            best, reason = _first_believed(explore, chosen, fits[: rules.considered])
+            best, reason = _first_accepted(explore, chosen, fits[: rules.considered])
             if best is None:
                 beyond = worth_it(explore.beyond_form_error(chosen))
-                best, _ = _first_believed(explore, chosen, beyond[: rules.considered])
+                best, _ = _first_accepted(explore, chosen, beyond[: rules.considered])
             both = hidden_pair(explore, chosen, best)
             if both is not None:
                 labels = " and ".join(part.candidate.label for part in both.parts[-2:])
@@ -105,7 +105,7 @@ def search_forward(
                 continue
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
-            if reason == _ONCE and nuisances < rules.most_nuisances:
+            if reason == _FEW_MOMENTS and nuisances < rules.most_nuisances:
                 # A missing effect may disturb its saving block by block, so that it is tried as a nuisance term first.
                 alone = alone or (chosen, nuisances, len(history), fits[0])
                 history.append(f"{label} saves {saved:.0f}, {reason}")
@@ -127,7 +127,7 @@ def search_forward(
         # The p value of a sensor error within tolerance says nothing of other terms.
         first_p = min(first_p, p_value if spread and not (small and p_value < rules.level) else 1.0)
         if small or not spread:
-            history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
+            history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _FEW_MOMENTS}")
             nuisances += 1
             # Sensor errors within tolerance do not count towards the limit of nuisance terms.
             guesses = nuisances - sum(part.is_within_tolerance for part in best.parts)
@@ -142,9 +142,9 @@ def search_forward(
     if alone is not None:
         chosen, nuisances, begun_at, refused = alone
         label, saved = refused.parts[-1].candidate.label, price_saved(refused)
-        history[begun_at:] = [f"{label} would save {saved:.0f}, {_ONCE}"]
+        history[begun_at:] = [f"{label} would save {saved:.0f}, {_FEW_MOMENTS}"]
     names = len(chosen.parts) - nuisances
-    return Found(chosen, refused or chosen, names, tuple(history), first_p)
+    return ForwardResult(chosen, refused or chosen, names, tuple(history), first_p)
 
 
 def other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> list[Fit]:
@@ -158,7 +158,7 @@ def other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> 
     return list(out.values())[: rules.beginnings]
 
 
-def goes_too_far(chosen: Fit, further: Fit) -> bool:
+def leaves_car_range(chosen: Fit, further: Fit) -> bool:
     """Return whether a further term, or another one because of it, ends at a bound of a real car's range."""
     if not chosen.parts:
         return False
@@ -183,7 +183,7 @@ def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
     return fit, history
 
 
-def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tuple[Fit | None, str]:
+def _first_accepted(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tuple[Fit | None, str]:
     """Return the first fit whose further term passes the tests, or None with the reason for the first one."""
     objective = explore.objective
     sizes = sizes_with_form_error(objective, chosen.terms)
@@ -216,7 +216,7 @@ def hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
         if estimate > enough - rules.price:
             break
         fit = with_pair(explore, chosen, (first, second))
-        if fit is None or explore.price(fit) > enough - rules.price or goes_too_far(chosen, fit):
+        if fit is None or explore.price(fit) > enough - rules.price or leaves_car_range(chosen, fit):
             continue
         if not cancel(explore.objective, fit) and all(
             _is_sure(explore, fit, k) for k in range(len(chosen.parts), len(fit.parts))
@@ -253,7 +253,7 @@ def is_refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
 def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:
     """Return why the last term of `further` is refused beside `chosen`, in words; empty if it is not.
 
-    The recorded yaw may contradict it (`is_denied`). It may be no more than the others' model-form error
+    The recorded yaw may contradict it (`contradicts_yaw`). It may be no more than the others' model-form error
     (`is_beyond_form_error`). Or it may save cost in a few moments only (`is_spread`).
 
     Parameters
@@ -262,11 +262,11 @@ def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> 
         `sizes_with_form_error` of the terms of `chosen`.
     """
     last = len(further.parts) - 1
-    if is_denied(explore.objective, further, last):
-        return _DENIED
+    if contradicts_yaw(explore.objective, further, last):
+        return _AGAINST_YAW
     if not is_beyond_form_error(explore, chosen, sizes, further, last):
         return _FORM_ERROR
-    return "" if is_spread(explore.objective, further, last, chosen, explore.rules) else _ONCE
+    return "" if is_spread(explore.objective, further, last, chosen, explore.rules) else _FEW_MOMENTS
 
 
 def is_beyond_form_error(explore: Explorer, without: Fit, sizes: np.ndarray, fit: Fit, k: int) -> bool:

@@ -28,7 +28,7 @@ from split_cli.diagnosis.search.fitting import (
 )
 from split_cli.vehicle.effects import CATALOGUE
 
-_NEAR_NONE = 0.1  # share of a start at which a term begins that is not in the explanation yet [1]
+_NEAR_NEUTRAL = 0.1  # share of a start at which a term begins that is not in the explanation yet [1]
 _NO_EFFECT = 1e-12  # least curvature of the cost, per squared step, for scaling [chi squared]
 _TRIED = 2  # parts whose removal is tried by a refit: those that cost least to first order [1]
 
@@ -94,7 +94,7 @@ def without_needless(explore: Explorer, fit: Fit) -> Fit:
     return fit
 
 
-def at_its_least(explore: Explorer, nothing: Fit, fit: Fit) -> tuple[Fit, tuple[Fit, ...]]:
+def out_of_local_minimum(explore: Explorer, nothing: Fit, fit: Fit) -> tuple[Fit, tuple[Fit, ...]]:
     """Return an explanation and the fits without each part, none of which costs less.
 
     At the global minimum, fewer parameters never cost less. If they do, the fit ended in another local minimum. Then it
@@ -107,7 +107,7 @@ def at_its_least(explore: Explorer, nothing: Fit, fit: Fit) -> tuple[Fit, tuple[
         if best.cost > fit.cost - tie:
             return fit, without
         k = without.index(best)
-        again = fit_parts(explore.objective, (*best.parts[:k], near_none(fit.parts[k]), *best.parts[k:]))
+        again = fit_parts(explore.objective, (*best.parts[:k], near_neutral(fit.parts[k]), *best.parts[k:]))
         if again.cost > fit.cost - tie:
             return fit, without
         fit = again
@@ -150,14 +150,14 @@ def _fit_from(
 
 def _everything_from(explore: Explorer, current: Fit) -> tuple[list[Part], list[dict[str, Prior]]]:
     """Return an explanation's parts with all other terms in their best variants near neutral, and their priors."""
-    parts = [*current.parts, *(near_none(one.part) for one in explore.first_tangents(current))]
+    parts = [*current.parts, *(near_neutral(one.part) for one in explore.first_tangents(current))]
     return parts, [prior_of(part.candidate, explore.rules.deviations) for part in parts]
 
 
-def near_none(part: Part) -> Part:
+def near_neutral(part: Part) -> Part:
     """Return a part with values near neutral, at which a term begins that is not in the explanation yet."""
     ranges = part.candidate.ranges
-    near = part.candidate.moved(part.values, _NEAR_NONE)
+    near = part.candidate.moved(part.values, _NEAR_NEUTRAL)
     inside = {name: float(np.clip(value, ranges[name].lower, ranges[name].upper)) for name, value in near.items()}
     return Part(part.candidate, inside)
 

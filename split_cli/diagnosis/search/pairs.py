@@ -43,8 +43,8 @@ def costs_of_pairs(current: Fit, tangents: Sequence[Tangent]) -> Iterator[tuple[
 
     Notes
     -----
-    As `Tangent.cost` with the columns of both. All columns are made orthogonal to those of the explanation first, so that
-    each pair needs only a small system.
+    As `Tangent.cost` with the columns of both. All columns are first made orthogonal to those of the explanation, so
+    that each pair needs only a small system.
     """
     slopes = [of_length_one(one.slopes) for one in tangents]
     rows = np.column_stack([*slopes, *(one.moved for one in tangents), current.residuals])

@@ -25,20 +25,20 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
 from split_cli.diagnosis.search.forward import (
-    Found,
-    goes_too_far,
+    ForwardResult,
     is_beyond_form_error,
     is_refused_last,
+    leaves_car_range,
     other_beginnings,
     search_forward,
     sizes_with_form_error,
 )
-from split_cli.diagnosis.search.joint import all_at_once, at_its_least, cheapest_first, estimated_saving_of_all
+from split_cli.diagnosis.search.joint import all_at_once, cheapest_first, estimated_saving_of_all, out_of_local_minimum
 from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_beside_tolerated
 from split_cli.diagnosis.search.term_tests import (
+    contradicts_yaw,
     error_of_sum,
     exceeds_simulation_scatter,
-    is_denied,
     is_spread,
     is_witnessed,
     part_over_allowance,
@@ -121,8 +121,8 @@ def select_terms(
     # Several terms may imitate one and fit better because of its model-form error, which is added to their price.
     burden = rules.form_error_cost * (base.cost - found.chosen.cost) / variance_inflation
 
-    def score(found: Found) -> float:
-        return explore.price(found.with_what_matters(base, rules)) + burden * found.names
+    def score(found: ForwardResult) -> float:
+        return explore.price(found.with_large_refused(base, rules)) + burden * found.names
 
     partly = partial(strongest_beside_tolerated, objective, explore.tangents, variance_inflation, base)
     physics = cache(lambda: physics_of_every_car(explore, base))
@@ -131,20 +131,20 @@ def select_terms(
         whole = explanation_of_every_car(explore, physics, found, leaves_more_than_noise)
         return None if whole is None else replace(_named_of_every_car(explore, base, whole[0]), history=whole[1])
 
-    if (whole := as_every_car(found.with_what_matters(base, rules))) is not None:
+    if (whole := as_every_car(found.with_large_refused(base, rules))) is not None:
         explore.close()
         acting = cache(partial(partly, whole.chosen))
         return replace(whole, first_p=found.first_p, first=tuple(first), beside=explore, partly=acting)
     jointly = None
     many = found.names > rules.few_names
-    if many or (found.left_something and leaves_structure(found.with_what_matters(base, rules))):
-        jointly = _all_at_once(explore, base, found.with_what_matters(base, rules))
+    if many or (found.leaves_remainder and leaves_structure(found.with_large_refused(base, rules))):
+        jointly = _all_at_once(explore, base, found.with_large_refused(base, rules))
     if jointly is not None:
         chosen, history = jointly, [*found.history, f"joint search: {move_in_words(found.chosen, jointly)}"]
     else:
-        for other in other_beginnings(first, base, rules) if found.left_something else ():
+        for other in other_beginnings(first, base, rules) if found.leaves_remainder else ():
             found = min(found, search_forward(explore, base, [other]), key=score)
-        chosen, history = found.with_what_matters(base, rules), list(found.history)
+        chosen, history = found.with_large_refused(base, rules), list(found.history)
         refused = chosen is not found.chosen
         if refused and term_size(objective, chosen, len(chosen.parts) - 1) < objective.policy.allowances.unnamed:
             history.append(f"{chosen.parts[-1].candidate.label} kept as a nuisance")
@@ -255,7 +255,7 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
 def _best_rival(selection: Selection) -> Rival | None:
     """Return the rival with the least cost whose values are within a car's range; None without any."""
     others = (rival for several in (*selection.rivals, *selection.siblings) for rival in several)
-    possible = [one for one in others if not goes_too_far(selection.chosen, one.fit)]
+    possible = [one for one in others if not leaves_car_range(selection.chosen, one.fit)]
     return min(possible, key=lambda one: one.excess, default=None)
 
 
@@ -271,22 +271,22 @@ def _settled_nuisances(explore: Explorer, selection: Selection, history: list[st
         unnamed = [k for k, named in enumerate(selection.named) if not named]
         k = min(unnamed, key=lambda k: explore.price(selection.without[k]))
         trial, label = _compared(explore, selection.base, selection.without[k]), chosen.parts[k].candidate.label
-        lent = own - {term.id for term in trial.terms}
-        if sum(trial.named) > len(own) and _shares(explore, selection, trial, own):
+        supported = own - {term.id for term in trial.terms}
+        if sum(trial.named) > len(own) and _costs_little_without(explore, selection, trial, own):
             history.append(f"{label} gives way: another is named without it")
-        elif lent and own - lent and _lends(explore, selection, k):
-            others = [part for part in trial.chosen.parts if part.candidate.term not in lent]
+        elif supported and own - supported and _is_dispensable(explore, selection, k):
+            others = [part for part in trial.chosen.parts if part.candidate.term not in supported]
             trial = _compared(explore, selection.base, fit_parts(explore.objective, others, known=trial.chosen))
-            if {term.id for term in trial.terms} != own - lent:
+            if {term.id for term in trial.terms} != own - supported:
                 break
-            history.append(f"{label} leaves with {' and '.join(sorted(lent))}, of no name without it")
+            history.append(f"{label} leaves with {' and '.join(sorted(supported))}, of no name without it")
         else:
             break
         selection = _with_rivals(explore, trial)
     return selection
 
 
-def _shares(explore: Explorer, selection: Selection, trial: Selection, names: set[str]) -> bool:
+def _costs_little_without(explore: Explorer, selection: Selection, trial: Selection, names: set[str]) -> bool:
     """Return whether the cost rises without a nuisance term by less than a fair share of the new name's saving."""
     lacking = trial.chosen.cost - selection.chosen.cost
     saved = [
@@ -297,7 +297,7 @@ def _shares(explore: Explorer, selection: Selection, trial: Selection, names: se
     return lacking < explore.rules.fair_share * min(saved, default=0.0)
 
 
-def _lends(explore: Explorer, selection: Selection, k: int) -> bool:
+def _is_dispensable(explore: Explorer, selection: Selection, k: int) -> bool:
     """Return whether nuisance term k would be refused, saves little, and is no sensor error within tolerance."""
     chosen, without, own = selection.chosen, selection.without[k], selection.chosen.parts[k]
     much = explore.rules.form_error_cost * (selection.base.cost - chosen.cost)
@@ -327,7 +327,7 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
 def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
     """Return the selection of an explanation, with named parts and fits without each part, without rivals."""
     objective, rules = explore.objective, explore.rules
-    chosen, without = at_its_least(explore, base, chosen)
+    chosen, without = out_of_local_minimum(explore, base, chosen)
     level = rules.level / len(explore.candidates)
     sure = [
         (
@@ -340,10 +340,10 @@ def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
         )
         and not chosen.parts[k].candidate.at_limit(chosen.parts[k].values)
         and not chosen.parts[k].is_within_tolerance
-        and not is_denied(objective, chosen, k)
+        and not contradicts_yaw(objective, chosen, k)
         for k, one in enumerate(without)
     ]
-    named = _believed_together(explore, chosen, without, sure)
+    named = _named_together(explore, chosen, without, sure)
     return Selection(base, chosen, without, ((),) * len(without), ((),) * len(without), named)
 
 
@@ -363,9 +363,7 @@ def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selecti
     return replace(selection, chosen=new.chosen, named=new.named, **compared)
 
 
-def _believed_together(
-    explore: Explorer, chosen: Fit, without: Sequence[Fit], sure: Sequence[bool]
-) -> tuple[bool, ...]:
+def _named_together(explore: Explorer, chosen: Fit, without: Sequence[Fit], sure: Sequence[bool]) -> tuple[bool, ...]:
     """Return which significant parts are named: the largest, and those beyond the model-form error of larger ones."""
     objective = explore.objective
     if sum(sure) < 2:
@@ -448,7 +446,7 @@ def rivals_of(
     own = chosen.parts[k].candidate
     reference = objective.block_sums(chosen.residuals**2)
     rivals: list[Rival] = []
-    fits = explore(rest, chosen.cost if better else _worth_a_fit(explore, chosen, k, rest))
+    fits = explore(rest, chosen.cost if better else _most_cost_of_rivals(explore, chosen, k, rest))
     for fit in (*fits, *(() if better else in_places_of_two(explore, chosen, k, nuisances))):
         # The part may have ended in a local minimum, as a stretch with other ends.
         of_itself = fit.parts[-1].candidate.label == own.label
@@ -485,7 +483,7 @@ def _witness_evidence(objective: MarginalLikelihood, fit: Fit, chosen: Fit) -> t
     return (total, error_of_sum(more)) if len(more) > 1 else (0.0, 0.0)
 
 
-def _worth_a_fit(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> float:
+def _most_cost_of_rivals(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> float:
     """Return the estimated cost below which a rival of part k is fitted.
 
     It must save the greater part of what the part saves, or cost no more than the price. If the part itself may be

@@ -146,7 +146,7 @@ def witnesses_disagree(objective: MarginalLikelihood, fit: Fit, k: int, rules: S
     return max(abs(share - 1.0) - rules.same_within * error, 0.0)
 
 
-def is_denied(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
+def contradicts_yaw(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
     """Return whether the recorded yaw contradicts a fault of the yaw rate.
 
     If the yaw changes by the integral of the yaw rate, the latter has no bias or scale error. The change of yaw is

@@ -62,9 +62,10 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
 
     Notes
     -----
-    A named term loses its trust if it explains no more than the unexplained part (`_imitating`), if the data do not
-    single it out (`_vague`), or if it changes with a corrected scale (`_stays_beside`). The others are refitted without
-    it and tested again until none is lost. Then intervals contain the values with and without the lost terms.
+    A named term loses its trust in three cases. It explains no more than the unexplained part (`_possibly_imitating`),
+    the data do not single it out (`_vague`), or it changes with a corrected scale (`_stays_beside`). The others are
+    refitted without it and tested again until none is lost. Then intervals contain the values with and without the lost
+    terms.
     """
     selection, variance_inflation = outcome.selection, outcome.variance_inflation
     objective = outcome.structure.objective
@@ -80,7 +81,7 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
     unexplained |= bool(bent) or _errs_too_much(objective, selection, variance_inflation)
     kept = {one.term for one in findings}
     if unexplained or scales:
-        imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection))
+        imitating = _possibly_imitating(findings, remainder, bent, rules, _nameless_shares(selection))
         kept -= imitating - confirmed_by_witnesses(objective, selection)
     if scales:
         sensors = {one.term for one in findings if not one.exported}
@@ -99,7 +100,7 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
         bent = _sure_bends(objective, selection, variance_inflation)
         reported = _findings(objective, selection, remainder.share, beside)
         findings = _only_findings(reported)
-        imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection, vague))
+        imitating = _possibly_imitating(findings, remainder, bent, rules, _nameless_shares(selection, vague))
         imitating -= confirmed_by_witnesses(objective, selection)
         doubted = _vague(objective, selection, reported) - imitating
         kept = {one.term for one in findings} - doubted - imitating
@@ -164,7 +165,7 @@ def _stays_beside(
     return {one.term for one in findings if stays(one) and not any(look_alike(one.term, term) for term in scales)}
 
 
-def _imitating(
+def _possibly_imitating(
     findings: Sequence[Finding],
     remainder: RemainderTest,
     bent: Sequence[Bend],

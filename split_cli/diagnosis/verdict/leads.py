@@ -47,7 +47,7 @@ def find_leads(
         for lead, free in _leads_beside(objective, rest, fits, least, known):
             if rest is selection.base and known.intersection(lead.instead):
                 continue  # a finding explains it as well, and real cars have its value
-            if rest is selection.base or _is_believed(explore, rest, free):
+            if rest is selection.base or _passes_strict_tests(explore, rest, free):
                 found.setdefault(lead.term, lead)
     beyond = sorted(found.values(), key=lambda one: -one.share)
     hidden = [one for one in _hidden(explore, selection, beside, apart=apart) if one.term not in found]
@@ -115,7 +115,7 @@ def _beside_names(selection: Selection) -> list[tuple[Fit, Sequence[Fit]]]:
     return found
 
 
-def _is_believed(explore: Explorer, rest: Fit, free: Fit) -> bool:
+def _passes_strict_tests(explore: Explorer, rest: Fit, free: Fit) -> bool:
     """Return whether a further term passes the tests of a finding except for its range, at the strict level.
 
     An explanation beyond a car's range is more likely to stand for another effect.

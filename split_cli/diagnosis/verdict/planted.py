@@ -78,7 +78,7 @@ def faulty(one: Evidence, term: Term) -> Series:
     states, as a lag or a play, maps commands u to A u. Its inverse is the series u + (1 - A) u + (1 - A)^2 u + ...
     (Neumann), which converges for commands slower than the lag.
     """
-    series, model = one.series, SingleTrack(one.vehicle, (term if term.state_names else _turned(term),))
+    series, model = one.series, SingleTrack(one.vehicle, (term if term.state_names else _with_opposite_values(term),))
     if not term.state_names:
         torque, steer_angle = series.inputs(model, series.smooth)
         return replace(series, torque=torque, steer_angle=steer_angle)
@@ -90,7 +90,7 @@ def faulty(one: Evidence, term: Term) -> Series:
     return asked
 
 
-def _turned(term: Term) -> Term:
+def _with_opposite_values(term: Term) -> Term:
     """Return a term with the opposite values, see `other_side`."""
     turned = other_side(CATALOGUE[term.id].neutral, term.parameters)
     return type(term)({**term.parameters, **turned}, term.variant)
