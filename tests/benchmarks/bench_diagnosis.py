@@ -53,9 +53,9 @@ def least_seconds(objective: MarginalLikelihood, moved: tuple[str, str, float], 
         # What travels forgets; the flow without any term, which every search has, is made again.
         here = pickle.loads(pickle.dumps(objective)) if anew else objective
         if anew:
-            here.left_by([])
+            here.raw_residual([])
         begun = time.perf_counter()
-        here.left_by(terms)
+        here.raw_residual(terms)
         best = min(best, time.perf_counter() - begun)
     return best
 

@@ -103,7 +103,7 @@ def test_beside_a_sensors_fault_a_fault_of_commands_promises_what_it_saves_there
         next(one for one in candidates_of(restless) if one.term == name) for name in ("sensor_lever_arm", "steer_gain")
     )
     displaced = Part(arm, {**arm.starts[0], "dx": 0.8})
-    residuals = objective.left_by([displaced.term])
+    residuals = objective.raw_residual([displaced.term])
     current = Fit((displaced,), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
     explore = explorer(objective, gain)
     ((promised, line), *_) = explore.estimated_costs(current)

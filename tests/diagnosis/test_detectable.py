@@ -93,7 +93,7 @@ def test_beside_a_name_recordings_that_show_what_was_reckoned_pass_at_once():
 
     def planted(objective: MarginalLikelihood, term: Term, others: Sequence[Term]) -> tuple[float, float]:
         asked.append(term)
-        rows = [objective.whiten(objective.left_by(terms)) for terms in (others, (*others, term))]
+        rows = [objective.whiten(objective.raw_residual(terms)) for terms in (others, (*others, term))]
         return float(np.sum((rows[1] - rows[0]) ** 2)), over_allowance(objective, (*others, term), tuple(others))
 
     candidates = candidates_of(objective, "steer_offset", "drive_gain", "drive_delay")
@@ -133,7 +133,7 @@ def test_a_size_that_is_told_has_an_interval_without_no_effect(sound):
         for name, (value, _) in one.parameters.items():
             own = next(one_way for one_way in candidates if one_way.term == one.term and {*one_way.ranges} == {name})
             part = Part(own, {name: value})
-            slopes = tangent(vague, vague.left_by(()), part).slopes / own.ranges[name].step
+            slopes = tangent(vague, vague.raw_residual(()), part).slopes / own.ranges[name].step
             residuals = nothing(vague).residuals
             fit = Fit((part,), float(residuals @ residuals), residuals, slopes)
             low, high = parameter_estimates(vague, fit, recorded=False)[0][name].interval_95

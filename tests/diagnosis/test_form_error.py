@@ -278,7 +278,7 @@ def test_of_tyres_either_axle_may_be_wrong_by_itself(behind):
 def heavier(behind) -> Fit:
     (one,) = (one for one in candidates_of(behind, "mass") if one.variant == "degressive")
     part = Part(one, {"scale": 1.15})
-    residuals = behind.whiten(behind.left_by((part.term,)))
+    residuals = behind.whiten(behind.raw_residual((part.term,)))
     return Fit((part,), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
 
 
@@ -338,7 +338,7 @@ def test_a_mass_moves_to_what_it_is_with_the_law_between_the_variants(behind, he
     """Residuals of 3 % more mass half-way to another law: the fit with that law finds both."""
     (part,) = heavier.parts
     more = Part(part.candidate, {"scale": part.values["scale"] + 0.01})
-    slope = behind.whiten(behind.left_by((more.term,)) - behind.left_by(heavier.terms)) / 0.01
+    slope = behind.whiten(behind.raw_residual((more.term,)) - behind.raw_residual(heavier.terms)) / 0.01
     between = 0.5 * module._other_load_laws(behind, heavier)[:, 0]
     fit = replace(heavier, sensitivity=slope[:, None], residuals=between - 0.03 * slope)
     assert moved_between_load_laws(behind, fit) == pytest.approx([0.03], abs=1e-3)

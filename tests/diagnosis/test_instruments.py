@@ -417,10 +417,10 @@ def test_rows_of_lists_that_differ_little_are_those_of_each_list():
         ]
         for k, one in enumerate(terms)
     ]
-    found = objective.left_by_each(moved, terms, objective.left_by(terms))
+    found = objective.raw_residuals_of_each(moved, terms, objective.raw_residual(terms))
     for several, rows in zip(moved, found, strict=True):
         bare = replace(objective, memo={})
-        np.testing.assert_array_equal(rows, bare.left_by(several))
+        np.testing.assert_array_equal(rows, bare.raw_residual(several))
 
 
 def without_a_name(objective) -> Selection:

@@ -28,7 +28,7 @@ from tests.diagnosis.recordings import INFLATION, candidates_of, driven, explore
 
 def evaluated(objective, parts) -> Fit:
     """Return parts at the values they have, not fitted."""
-    residuals = objective.whiten(objective.left_by([part.term for part in parts]))
+    residuals = objective.whiten(objective.raw_residual([part.term for part in parts]))
     return Fit(tuple(parts), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
 
 

@@ -94,7 +94,7 @@ def test_a_drive_passes_that_has_what_is_promised_by_its_own_filter_but_not_by_t
 def test_what_a_fault_saves_is_what_it_saves_of_a_drive_that_has_it(promised, as_promised, sound):
     (candidate,) = candidates_of(as_promised, "steer_gain")
     term = candidate.build({"gain": 1.0 / promised[1]})
-    rows = [as_promised.whiten(as_promised.left_by(terms)) for terms in ((), (term,))]
+    rows = [as_promised.whiten(as_promised.raw_residual(terms)) for terms in ((), (term,))]
     saved, _ = planted_saving(objective_of(sound), term, case=sound, reach=REACH)
     assert saved == pytest.approx(rows[0] @ rows[0] - rows[1] @ rows[1], rel=1e-3)
 

@@ -159,8 +159,8 @@ class MarginalLikelihood:
         return replace(self, evidence=again, memo={})
 
     def residual(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the rows that terms and the shared discrepancy leave, shape (R,), before `whiten`."""
-        rows = self.stack([one.rows(terms, self.carried(one, terms)) for one in self.evidence]) - self.offset
+        """Return the rows that terms leave, with the discrepancy at the recorded inputs, shape (R,), before `whiten`."""
+        rows = self.stack([one.rows(terms, self.discrepancy_change(one, terms)) for one in self.evidence]) - self.offset
         return self._with_witnesses(rows, terms)
 
     def _with_witnesses(self, rows: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
@@ -271,7 +271,7 @@ class MarginalLikelihood:
             lambda: self.discrepancy.rates(one.series, self.posterior.weights, altering),
         )
 
-    def carried(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray | None:
+    def discrepancy_change(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray | None:
         """Return how terms that alter tyres or body change the discrepancy's rates, shape (N, 3); None if none does."""
         others = [term for term in terms if alters_car(term)]
         if self.posterior is None or not others:
@@ -297,19 +297,19 @@ class MarginalLikelihood:
 
         return at(below) if share < 1e-9 else (1.0 - share) * at(below) + share * at(below + 1.0)
 
-    def left_by(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the rows that terms leave, with the discrepancy evaluated at the inputs they alter, shape (R,)."""
+    def raw_residual(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return the rows that terms leave, with the discrepancy at the inputs that they alter, (R,), before `whiten`."""
         return self.residual(terms) - self.shift(terms)
 
-    def left_by_each(
+    def raw_residuals_of_each(
         self, several: Sequence[Sequence[Term]], beside: Sequence[Term], here: np.ndarray
     ) -> Iterator[np.ndarray]:
-        """Yield `left_by` of several lists of terms that differ in few values from the list `beside`.
+        """Yield `raw_residual` of several lists of terms that differ in few values from the list `beside`.
 
         Parameters
         ----------
         here : ndarray, shape (R,)
-            `left_by` of `beside`.
+            `raw_residual` of `beside`.
 
         Notes
         -----
@@ -319,7 +319,7 @@ class MarginalLikelihood:
         for begin in range(0, len(several), _FILTERED_AT_ONCE):
             some = several[begin : begin + _FILTERED_AT_ONCE]
             moved = [terms for terms in some if key_of_terms(self._moving(terms)) != known]
-            carried = [[self.carried(one, terms) for terms in moved] for one in self.evidence]
+            carried = [[self.discrepancy_change(one, terms) for terms in moved] for one in self.evidence]
             rows = [one.rows_of_each(moved, rates) for one, rates in zip(self.evidence, carried, strict=True)]
             columns = iter(range(len(moved)))
             for terms in some:
@@ -342,7 +342,7 @@ class MarginalLikelihood:
 
     def cost(self, terms: Sequence[Term]) -> float:
         """Return the cost of terms with their values, in units of chi squared."""
-        residuals = self.whiten(self.left_by(terms))
+        residuals = self.whiten(self.raw_residual(terms))
         return float(residuals @ residuals)
 
     @property

@@ -111,7 +111,7 @@ def _profile_anew(
 
     def compared(delay: float) -> tuple[np.ndarray, bool]:
         moved = Part(part.candidate, {**part.values, name: delay})
-        residuals = objective.whiten(objective.left_by([*fit.terms[:k], moved.term, *fit.terms[k + 1 :]]))
+        residuals = objective.whiten(objective.raw_residual([*fit.terms[:k], moved.term, *fit.terms[k + 1 :]]))
         residuals = residuals - along @ (along.T @ residuals)
         by_witnesses = np.bincount(block, objective.of_witnesses(residuals) ** 2 - seen)
         refuted = len(seen) > 0 and _is_worse(objective, by_witnesses[np.unique(block)])

@@ -55,8 +55,8 @@ def physics_of_every_car(explore: Explorer, nothing: Fit) -> Fit:
     -----
     Each parameter starts near neutral with a prior as wide as a car's range. The last fit is without the prior.
     """
-    lines = [one for one in explore.first_tangents(nothing) if CATALOGUE[one.part.candidate.term].in_every_car]
-    parts = [near_neutral(one.part) for one in lines]
+    tangents = [one for one in explore.first_tangents(nothing) if CATALOGUE[one.part.candidate.term].in_every_car]
+    parts = [near_neutral(one.part) for one in tangents]
     priors = [prior_of(part.candidate, explore.rules.deviations) for part in parts]
     fit, _ = fit_with_prior(explore.objective, parts, priors)
     whole = without_needless(explore, _in_best_variants(explore, fit_parts(explore.objective, fit.parts)))

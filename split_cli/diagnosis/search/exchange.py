@@ -60,14 +60,14 @@ def _mergers_by_estimated_cost(
     siblings = [(j, one) for j, part in enumerate(parts) for one in _siblings(part.candidate, explore.candidates)]
     if len(parts) < 2 or not siblings:
         return []
-    here = objective.left_by(chosen.terms)
+    here = objective.raw_residual(chosen.terms)
     sensitivity = sensitivity_of(objective, chosen)
     owner = np.repeat(np.arange(len(parts)), [len(part.values) for part in parts])
     free = free_to_form_error(objective, chosen, together=False)
     seen = free.T @ chosen.residuals
     own = chosen.cost - float(seen @ seen)
     gone = {
-        k: objective.whiten(objective.left_by(chosen.terms[:k] + chosen.terms[k + 1 :]) - here)
+        k: objective.whiten(objective.raw_residual(chosen.terms[:k] + chosen.terms[k + 1 :]) - here)
         for k, is_named in enumerate(named)
         if is_named
     }

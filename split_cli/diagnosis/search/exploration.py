@@ -155,7 +155,7 @@ class Explorer:
             return further
 
         def made() -> list[Tangent]:
-            left = self.objective.left_by(beside)
+            left = self.objective.raw_residual(beside)
 
             def linear(one: Tangent) -> Tangent:
                 acts = type(one.part.term).actuate is not Term.actuate

@@ -155,10 +155,10 @@ def fit_with_prior(
             step = part.candidate.ranges[name].step
             means.append(prior[name].mean / step if name in prior else 0.0)
             roots.append(step / prior[name].deviation if name in prior else 0.0)
-    priors = np.array(means), np.array(roots) ** 2
-    fit = _fit(objective, parts, _JOINT_ITERATIONS, priors)
+    moments = np.array(means), np.array(roots) ** 2
+    fit = _fit(objective, parts, _JOINT_ITERATIONS, moments)
     steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
-    curvature = np.outer(steps, steps) * (fit.sensitivity.T @ fit.sensitivity) + np.diag(priors[1])
+    curvature = np.outer(steps, steps) * (fit.sensitivity.T @ fit.sensitivity) + np.diag(moments[1])
     fit.forget()
     return fit, curvature
 
@@ -167,13 +167,13 @@ def _fit(
     objective: MarginalLikelihood,
     parts: tuple[Part, ...],
     iterations: int,
-    priors: tuple[np.ndarray, np.ndarray] | None = None,
+    moments: tuple[np.ndarray, np.ndarray] | None = None,
     known: Fit | None = None,
     tangents: Sequence[Tangent] = (),
 ) -> Fit:
     """Return a joint fit by at most so many iterations.
 
-    `priors` are means and precisions of priors, in steps of the parameters.
+    `moments` are means and precisions of normal priors, in steps of the parameters.
 
     Notes
     -----
@@ -189,10 +189,10 @@ def _fit(
     x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
 
     terms_at = _terms_of(parts, steps)
-    mean, precision = priors if priors is not None else (np.zeros(len(x)), np.zeros(len(x)))
+    mean, precision = moments if moments is not None else (np.zeros(len(x)), np.zeros(len(x)))
 
     def evaluate(x: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
-        here = objective.left_by(terms_at(x))
+        here = objective.raw_residual(terms_at(x))
         residuals = objective.whiten(here)
         return float(residuals @ residuals) + float(precision @ (x - mean) ** 2), (here, residuals)
 
@@ -232,7 +232,7 @@ def _fit(
         enough=lambda gained, _: gained < _LEAST_GAIN,
         iterations=iterations,
         known=begun,
-        follow=None if priors is not None or placed else follow,
+        follow=None if moments is not None or placed else follow,
     )
     residuals, jacobian = found.state[1], found.slopes.jacobian
     parts = _with(parts, names, found.parameters * steps)
@@ -253,7 +253,7 @@ def _broyden_update(slopes: Slopes, step: np.ndarray, change: np.ndarray) -> tup
 
 
 def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarray:
-    """Return derivatives of `left_by` per step of each parameter, before `whiten`, shape (R, P)."""
+    """Return derivatives of `raw_residual` per step of each parameter, before `whiten`, shape (R, P)."""
     parts = tuple(parts)
     names = [(k, name) for k, part in enumerate(parts) for name in part.values]
     limits = [parts[k].candidate.ranges[name] for k, name in names]
@@ -261,7 +261,7 @@ def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarr
     upper = np.array([limit.upper for limit in limits]) / steps
     x = np.array([parts[k].values[name] for k, name in names]) / steps
     terms_at = _terms_of(parts, steps)
-    return _slopes(objective, terms_at, objective.left_by(terms_at(x)), x, upper, range(len(x)))
+    return _slopes(objective, terms_at, objective.raw_residual(terms_at(x)), x, upper, range(len(x)))
 
 
 def _shared_slopes(
@@ -292,9 +292,9 @@ def _slopes(
     upper: np.ndarray,
     own: Sequence[int],
 ) -> np.ndarray:
-    """Return derivatives of `left_by` with respect to the entries `own` of x, in steps, shape (R, len(own)).
+    """Return derivatives of `raw_residual` with respect to the entries `own` of x, in steps, shape (R, len(own)).
 
-    `here` is `left_by` at x.
+    `here` is `raw_residual` at x.
     """
     out, directions, moved = np.empty((len(here), len(own))), [], []
     for p in own:
@@ -303,7 +303,7 @@ def _slopes(
         ahead = x.copy()
         ahead[p] += directions[-1]
         moved.append(terms_at(ahead))
-    left = objective.left_by_each(moved, terms_at(x), here)
+    left = objective.raw_residuals_of_each(moved, terms_at(x), here)
     for column, one, direction in zip(out.T, left, directions, strict=True):
         np.multiply(one - here, direction, out=column)
     return out
@@ -352,16 +352,16 @@ def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside:
     Parameters
     ----------
     base : ndarray, shape (R,)
-        `MarginalLikelihood.left_by` of the other terms.
+        `MarginalLikelihood.raw_residual` of the other terms.
     beside : tuple of Term
         The other terms.
     """
     steps = np.array([part.candidate.ranges[name].step for name in part.values])
     x, terms_at = np.array(list(part.values.values())) / steps, _terms_of((part,), steps)
     terms = [*beside, *terms_at(x)]
-    here = objective.left_by(terms)
+    here = objective.raw_residual(terms)
     moved = [[*beside, *terms_at(x + unit)] for unit in np.eye(len(x))]
-    columns = [here - base, *(one - here for one in objective.left_by_each(moved, terms, here))]
+    columns = [here - base, *(one - here for one in objective.raw_residuals_of_each(moved, terms, here))]
     rows = objective.whiten(np.stack(columns, axis=1))
     return Tangent(part, np.ascontiguousarray(rows[:, 0]), np.ascontiguousarray(rows[:, 1:]))
 

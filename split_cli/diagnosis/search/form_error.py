@@ -327,11 +327,11 @@ def free_to_form_error(objective: MarginalLikelihood, fit: Fit, *, together: boo
 
 def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     """Return the change of residuals if terms that load tyres had another variant, at the same values, (R, V)."""
-    here, columns = objective.left_by(fit.terms), []
+    here, columns = objective.raw_residual(fit.terms), []
     for k, term in enumerate(fit.terms):
         for variant in type(term).laws(term.variant) if term.loads_tires else ():
             other = type(term)(term.parameters, variant)
-            columns.append(here - objective.left_by((*fit.terms[:k], other, *fit.terms[k + 1 :])))
+            columns.append(here - objective.raw_residual((*fit.terms[:k], other, *fit.terms[k + 1 :])))
     if not columns:
         return np.empty((len(here), 0))
     columns = objective.whiten(np.stack(columns, axis=1))

@@ -34,7 +34,7 @@ def with_late_channel(
     part = late_by_witnesses(objective, candidates, base.parts)
     if part is None:
         return None
-    linear = tangent(objective, objective.left_by(base.terms), part, base.terms)
+    linear = tangent(objective, objective.raw_residual(base.terms), part, base.terms)
     fit = _as_it_is(objective, linear, base)
     p_value = witnessed_p(objective, fit, len(base.parts), base, rules) * len(candidates)
     seen = objective.witnesses_cost(base.residuals) - objective.witnesses_cost(fit.residuals)

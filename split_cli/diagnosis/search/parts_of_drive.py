@@ -259,7 +259,7 @@ def _stretch(
         return None
     term, inside = one.build(values), _rows_of(objective, int(parts.first[w]), int(parts.last[w]))
     sizes = [
-        effects_to_noise_of(it, it.at[rows], (term,), (), partial(objective.carried, it))
+        effects_to_noise_of(it, it.at[rows], (term,), (), partial(objective.discrepancy_change, it))
         for it, rows in zip(objective.evidence, inside, strict=True)
         if rows.any()
     ]

@@ -215,14 +215,16 @@ def _offers(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> l
     def offered(candidate: Candidate) -> list[_Offer]:
         if candidate.located:
             whole, _ = candidate.everywhere()
-            return [_Offer(candidate.effect, (objective.left_by((whole,)) - base)[:, None], candidate.located)]
+            return [_Offer(candidate.effect, (objective.raw_residual((whole,)) - base)[:, None], candidate.located)]
         neutral = {name: CATALOGUE[candidate.term].neutral.get(name) for name in candidate.ranges}
         out = []
         for start in candidate.starts:
             shape = {name: value for name, value in start.items() if neutral[name] is None}
             sizes = [name for name in start if neutral[name] is not None]
             columns = [
-                objective.left_by((candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),))
+                objective.raw_residual(
+                    (candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),)
+                )
                 - base
                 for name in sizes
             ]

@@ -275,7 +275,7 @@ def sizes_of_terms(objective: MarginalLikelihood, terms: tuple[Term, ...], witho
 def sizes_in_velocity(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
     """Return the effect-to-noise ratios by predictions of the velocities alone, shape (3,) [1]."""
     sizes = [
-        effects_to_noise_of(one, one.at[mask], terms, without, partial(objective.carried, one))
+        effects_to_noise_of(one, one.at[mask], terms, without, partial(objective.discrepancy_change, one))
         for one, mask in zip(objective.evidence, objective.keep, strict=True)
     ]
     return np.max(sizes, axis=0)

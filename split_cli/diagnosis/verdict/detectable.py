@@ -44,7 +44,7 @@ class _Beside:
 
         Second is its squared length as a share of the whole change's [1].
         """
-        rows = self.objective.whiten(self.objective.left_by((*self.fit.terms, term))) - self.fit.residuals
+        rows = self.objective.whiten(self.objective.raw_residual((*self.fit.terms, term))) - self.fit.residuals
         left = rows - self.taken @ (self.taken.T @ rows)
         return left, float(left @ left) / max(float(rows @ rows), 1e-300)
 

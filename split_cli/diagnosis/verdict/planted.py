@@ -61,7 +61,7 @@ def planted_saving(
     if objective.posterior is not None:
         columns = there.stack([one.discrepancy for one in planted.real])
         there = replace(there, offset=columns @ objective.posterior.weights)
-    rows = np.stack([there.left_by(terms) for terms in (others, (*others, term))], axis=1)
+    rows = np.stack([there.raw_residual(terms) for terms in (others, (*others, term))], axis=1)
     costs = np.sum(rows**2, axis=0)
     if objective.posterior is not None and not objective.fixed_baseline:
         lower = np.linalg.cholesky(objective.posterior.precision + columns.T @ columns)
