@@ -159,7 +159,7 @@ class MarginalLikelihood:
         return replace(self, evidence=again, memo={})
 
     def residual(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the rows that terms leave, with the discrepancy at the recorded inputs, shape (R,), before `whiten`."""
+        """Return the rows that terms leave, with the discrepancy at the recorded inputs, (R,), before `whiten`."""
         rows = self.stack([one.rows(terms, self.discrepancy_change(one, terms)) for one in self.evidence]) - self.offset
         return self._with_witnesses(rows, terms)
 
@@ -298,7 +298,7 @@ class MarginalLikelihood:
         return at(below) if share < 1e-9 else (1.0 - share) * at(below) + share * at(below + 1.0)
 
     def raw_residual(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the rows that terms leave, with the discrepancy at the inputs that they alter, (R,), before `whiten`."""
+        """Return the rows that terms leave, with the discrepancy at the inputs they alter, (R,), before `whiten`."""
         return self.residual(terms) - self.shift(terms)
 
     def raw_residuals_of_each(

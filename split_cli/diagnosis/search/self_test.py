@@ -221,13 +221,8 @@ def _offers(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> l
         for start in candidate.starts:
             shape = {name: value for name, value in start.items() if neutral[name] is None}
             sizes = [name for name in start if neutral[name] is not None]
-            columns = [
-                objective.raw_residual(
-                    (candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),)
-                )
-                - base
-                for name in sizes
-            ]
+            bare = {**shape, **{name: neutral[name] for name in sizes}}
+            columns = [objective.raw_residual((candidate.build({**bare, name: start[name]}),)) - base for name in sizes]
             out.append(_Offer(candidate.effect, np.stack(columns, axis=1), ""))
         return out
 
