@@ -35,6 +35,7 @@ from split_cli.diagnosis.search.instrument_drift import with_drift_tolerances
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, InputFile
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.verdict.detectable import detection_limits
+from split_cli.diagnosis.verdict.faulty_commands import saving_on_faulty_recordings
 from split_cli.diagnosis.verdict.findings import Description, confirmed_by_witnesses, describe, is_autocorrelated
 from split_cli.diagnosis.verdict.held_out_judgement import (
     HeldOutJudgement,
@@ -43,7 +44,6 @@ from split_cli.diagnosis.verdict.held_out_judgement import (
     with_nameless_parts,
 )
 from split_cli.diagnosis.verdict.leads import find_leads
-from split_cli.diagnosis.verdict.planted import planted_saving
 from split_cli.diagnosis.verdict.power import (
     hidden_effects,
     hidden_in_words,
@@ -263,7 +263,7 @@ def _detection_limits(
         candidates,
         outcome.variance_inflation,
         policy.comparison.level / _TESTS,
-        partial(planted_saving, case=case, reach=reach),
+        partial(saving_on_faulty_recordings, case=case, reach=reach),
         [part for part, named in zip(chosen.parts, outcome.selection.named, strict=True) if named],
     )
 

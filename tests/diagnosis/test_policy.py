@@ -116,10 +116,10 @@ BESIDE_THEIR_ALGORITHM = {
     "statement/sentences.py": {"_WORTH_A_WORD", "_CLEARLY", "_STANDS_FOR", "_MUCH_OF_ERROR"},
     # Grids, blocks and iterations of what is said of names that the search chose, and of held-out errors.
     "verdict/constancy.py": {"_WAVES", "_FREE"},
-    "verdict/corrected.py": {"_STEP"},
-    "verdict/correction.py": {"_FEWEST_TO_LEARN", "_FOLDS", "_STARTS", "_BEYOND_CHANCE"},
+    "verdict/corrected_vehicle.py": {"_STEP"},
+    "verdict/learned_correction.py": {"_FEWEST_TO_LEARN", "_FOLDS", "_STARTS", "_BEYOND_CHANCE"},
     "verdict/detectable.py": {"_ROUNDS", "_FURTHEST", "_GROWTH", "_LEAST_GROWTH"},
-    "verdict/planted.py": {"_POWERS"},
+    "verdict/faulty_commands.py": {"_POWERS"},
     "verdict/tolerance.py": {"_WORTH_A_LEAD"},
     "verdict/estimates.py": {"_CHI2_95", "_COLLINEAR"},
     "verdict/findings.py": {"_SHOWN_RIVALS", "_SCALE_STEP"},

@@ -9,7 +9,7 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection, nothing
 from split_cli.diagnosis.statement.result import ParameterEstimate
-from split_cli.diagnosis.verdict.heldout import fitted_alone
+from split_cli.diagnosis.verdict.held_out_split import fitted_alone
 from split_cli.diagnosis.verdict.tolerance import is_worth_a_word, named_or_tolerated, tolerance_leads
 from tests.diagnosis.recordings import INFLATION, bare_objective, driven, explorer, light_evidence, noisy, prepared
 

@@ -16,11 +16,11 @@ from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import over_allowance, over_form_error, p_of_effect, sizes_of_terms
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
-from split_cli.diagnosis.verdict.planted import alters_commands, other_side
+from split_cli.diagnosis.verdict.faulty_commands import alters_commands, other_side
 from split_cli.vehicle.effects import CATALOGUE, Term
 
-#: As `planted_saving` without its keyword arguments.
-Planted = Callable[[MarginalLikelihood, Term, Sequence[Term]], tuple[float, float]]
+#: As `saving_on_faulty_recordings` without its keyword arguments.
+FaultySaving = Callable[[MarginalLikelihood, Term, Sequence[Term]], tuple[float, float]]
 
 _ROUNDS = 8  # iterations of the search for a size
 _FURTHEST = 1e4  # largest factor on a size that is tried [1]
@@ -71,7 +71,7 @@ def detection_limits(
     candidates: Sequence[Candidate],
     variance_inflation: float,
     level: float,
-    planted: Planted | None = None,
+    faulty_saving: FaultySaving | None = None,
     named: Sequence[Part] = (),
 ) -> tuple[Detectable, ...]:
     """Return the smallest size of each parameter of each term that would be named on these recordings.
@@ -84,8 +84,9 @@ def detection_limits(
         Terms that act at a place are left out, since their limit depends on the place.
     level : float
         p value that the minimum-effect test has to fall below.
-    planted : callable, optional
-        `planted_saving` for terms that alter commands. Without it their saving is computed from the present rows.
+    faulty_saving : callable, optional
+        `saving_on_faulty_recordings` for terms that alter commands. Without it their saving is computed from the
+        present rows.
     named : sequence of Part
         Findings. The limit of a term among them is that beside the other findings.
 
@@ -110,7 +111,7 @@ def detection_limits(
     def smallest(candidate: Candidate, start: Mapping[str, float]) -> tuple[float, dict[str, float]]:
         last = len(objectives) - 1 if alters_inputs(candidate.build(start)) else 0
         beside = besides.get((last, candidate.term), besides[last, ""])
-        return _smallest(beside, candidate, start, variance_inflation, level / len(candidates), planted)
+        return _smallest(beside, candidate, start, variance_inflation, level / len(candidates), faulty_saving)
 
     every = _alone(candidates)
     tried = [(one, start) for several in every.values() for one, start in several]
@@ -162,7 +163,7 @@ def _smallest(
     start: Mapping[str, float],
     variance_inflation: float,
     level: float,
-    planted: Planted | None,
+    faulty_saving: FaultySaving | None,
 ) -> tuple[float, dict[str, float]]:
     """Return the factor on the start's effect at the limit, and the values; infinity and none beyond its range."""
     near = _NEAR if alters_inputs(candidate.build(start)) else _PROPORTIONAL
@@ -205,9 +206,9 @@ def _smallest(
         if not candidate.allows(values):
             break
         if tolerated or abs(log) < near:
-            if planted is not None and alters_commands(term):
+            if faulty_saving is not None and alters_commands(term):
                 there = shown.over_and_witnessed(factor / before)
-                factor = _grown_seen(beside, candidate, start, factor, there, excess, planted)
+                factor = _grown_seen(beside, candidate, start, factor, there, excess, faulty_saving)
             return _grown_until_significant(beside, candidate, start, factor)
     return np.inf, {}
 
@@ -240,7 +241,7 @@ def _grown_seen(
     factor: float,
     shown: _Shown,
     excess: Callable[[_Shown, float, float], float],
-    planted: Planted,
+    faulty_saving: FaultySaving,
 ) -> float:
     """Return the factor, increased until recordings that have the effect pass the tests; infinity beyond the range.
 
@@ -266,7 +267,7 @@ def _grown_seen(
 
     while candidate.allows(values := candidate.moved(start, factor)):
         for term in (candidate.build(values), *_other_sign(candidate, values)):
-            saved, size = planted(beside.objective, term, beside.fit.terms)
+            saved, size = faulty_saving(beside.objective, term, beside.fit.terms)
             grown = growth(shown.share * saved, size)
             if grown > 1.0:
                 factor *= grown

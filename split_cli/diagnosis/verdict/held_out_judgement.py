@@ -13,9 +13,9 @@ from split_cli.diagnosis.policy import Policy
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvement
 from split_cli.diagnosis.statement.result import Finding, RemainderTest
-from split_cli.diagnosis.verdict.corrected import judge_corrected
+from split_cli.diagnosis.verdict.corrected_vehicle import judge_corrected
 from split_cli.diagnosis.verdict.findings import with_shares
-from split_cli.diagnosis.verdict.heldout import HeldOut, explained_by, explained_shares, fitted_alone, hold_out
+from split_cli.diagnosis.verdict.held_out_split import HeldOut, explained_by, explained_shares, fitted_alone, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import EffectSpec

@@ -18,7 +18,6 @@ from split_cli.diagnosis.innovations.rollouts import (
     shared_rates,
 )
 from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
-from split_cli.diagnosis.verdict.correction import learn_correction, without_correction
 from split_cli.diagnosis.verdict.label_errors import (
     BLOCK_SECONDS,
     LabelErrors,
@@ -26,6 +25,7 @@ from split_cli.diagnosis.verdict.label_errors import (
     in_standard_errors,
     label_errors,
 )
+from split_cli.diagnosis.verdict.learned_correction import learn_correction, without_correction
 from split_cli.diagnosis.verdict.simulation_part import chosen_simulation_parts, part_of
 from split_cli.vehicle.effects import Term
 

@@ -13,7 +13,7 @@ from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import term_p
 from split_cli.diagnosis.verdict.detectable import detection_limits
-from split_cli.diagnosis.verdict.planted import faulty, planted_saving
+from split_cli.diagnosis.verdict.faulty_commands import faulty, saving_on_faulty_recordings
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.single_track import SingleTrack
@@ -56,7 +56,7 @@ def promised(sound) -> tuple[float, float]:
     """Gains that are promised with the filter of the sound drive, and with that of drives that have them."""
     objective = objective_of(sound)
     candidates = candidates_of(objective, "steer_gain")
-    ways = None, partial(planted_saving, case=sound, reach=REACH)
+    ways = None, partial(saving_on_faulty_recordings, case=sound, reach=REACH)
     found = [detection_limits((objective,), candidates, INFLATION, LEVEL, way) for way in ways]
     before, after = (one.parameters["gain"][0] for (one,) in found)
     return before, after
@@ -95,7 +95,7 @@ def test_what_a_fault_saves_is_what_it_saves_of_a_drive_that_has_it(promised, as
     (candidate,) = candidates_of(as_promised, "steer_gain")
     term = candidate.build({"gain": 1.0 / promised[1]})
     rows = [as_promised.whiten(as_promised.raw_residual(terms)) for terms in ((), (term,))]
-    saved, _ = planted_saving(objective_of(sound), term, case=sound, reach=REACH)
+    saved, _ = saving_on_faulty_recordings(objective_of(sound), term, case=sound, reach=REACH)
     assert saved == pytest.approx(rows[0] @ rows[0] - rows[1] @ rows[1], rel=1e-3)
 
 
@@ -103,7 +103,7 @@ def test_without_a_simulation_recordings_that_have_a_fault_may_keep_other_rows()
     case = gather_case(road_car(), [prepared(at_the_limit(31), "real")])
     every_other = tuple(np.arange(len(mask)) % 2 == 0 for mask in case.keep)
     term = CATALOGUE["steer_offset"]({"offset": 0.05}, "")
-    saved, _ = planted_saving(
+    saved, _ = saving_on_faulty_recordings(
         build_objective(case.real, None, case.discrepancy, every_other), term, case=case, reach=REACH
     )
     faulty_case = case.recorded_as([faulty(one, term) for one in case.real], REACH)

@@ -22,9 +22,9 @@ from split_cli.diagnosis.statement.improvement import (
 )
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate
 from split_cli.diagnosis.statement.sentences import not_accepted, summarise
-from split_cli.diagnosis.verdict.corrected import judge_corrected
+from split_cli.diagnosis.verdict.corrected_vehicle import judge_corrected
 from split_cli.diagnosis.verdict.held_out_judgement import HeldOutFit, HeldOutJudgement, with_nameless_parts
-from split_cli.diagnosis.verdict.heldout import HeldOut
+from split_cli.diagnosis.verdict.held_out_split import HeldOut
 from split_cli.diagnosis.verdict.label_errors import in_standard_errors
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Range

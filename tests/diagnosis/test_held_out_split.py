@@ -12,7 +12,7 @@ from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
 from split_cli.diagnosis.verdict.held_out_judgement import fit_without_held_out
-from split_cli.diagnosis.verdict.heldout import HeldOut, explained_by, explained_shares, fitted_alone, hold_out
+from split_cli.diagnosis.verdict.held_out_split import HeldOut, explained_by, explained_shares, fitted_alone, hold_out
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
 from tests.factories import road_car

@@ -27,7 +27,7 @@ def alters_commands(term: Term) -> bool:
     return type(term).actuate is not Term.actuate
 
 
-def planted_saving(
+def saving_on_faulty_recordings(
     objective: MarginalLikelihood, term: Term, others: Sequence[Term] = (), *, case: DiagnosisCase, reach: float
 ) -> tuple[float, float]:
     """Return the saving of a term on recordings that have its effect, and its size there over the allowance [1].
@@ -50,16 +50,21 @@ def planted_saving(
     With the columns Phi of the shared discrepancy, the precision H of their weights and L L^T = H + Phi^T Phi, rows r
     cost |r|^2 - |L^-1 Phi^T r|^2; with a fixed baseline |r|^2.
     """
-    planted = case.recorded_as([faulty(one, term) for one in case.real], reach, objective.policy)
-    pairs = zip(planted.real, planted.keep, strict=True)
+    faulty_case = case.recorded_as([faulty(one, term) for one in case.real], reach, objective.policy)
+    pairs = zip(faulty_case.real, faulty_case.keep, strict=True)
     weight = np.concatenate([np.repeat(one.weight[mask], 3) for one, mask in pairs])
     witnesses = sum(len(one.begin) for one in objective.kinematics)
     weight = np.append(weight, np.ones(witnesses))
     there = replace(
-        objective, evidence=planted.real, keep=planted.keep, memo={}, weight=weight, offset=np.zeros(len(weight))
+        objective,
+        evidence=faulty_case.real,
+        keep=faulty_case.keep,
+        memo={},
+        weight=weight,
+        offset=np.zeros(len(weight)),
     )
     if objective.posterior is not None:
-        columns = there.stack([one.discrepancy for one in planted.real])
+        columns = there.stack([one.discrepancy for one in faulty_case.real])
         there = replace(there, offset=columns @ objective.posterior.weights)
     rows = np.stack([there.raw_residual(terms) for terms in (others, (*others, term))], axis=1)
     costs = np.sum(rows**2, axis=0)

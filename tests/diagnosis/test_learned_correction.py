@@ -3,8 +3,8 @@
 import numpy as np
 
 from split_cli.diagnosis.innovations.rollouts import Stage, roll_out_stages
-from split_cli.diagnosis.verdict.correction import learn_correction
 from split_cli.diagnosis.verdict.label_errors import in_standard_errors, label_errors
+from split_cli.diagnosis.verdict.learned_correction import learn_correction
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import recorded
 
