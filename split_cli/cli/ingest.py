@@ -230,9 +230,9 @@ def _show(run, as_json: bool) -> None:
 
 def _tell_what_was_left(logs, output) -> None:
     """Say which files of given folders are taken for no recordings."""
-    from split_cli.workflows.sources import left_alone
+    from split_cli.workflows.sources import skipped_files
 
-    left = left_alone(logs, outside=output)
+    left = skipped_files(logs, outside=output)
     if left:
         kinds = ", ".join(f"{count} {ending}" for ending, count in list(left.items())[:8])
         click.echo(

@@ -65,7 +65,7 @@ class Flow:
     # Of states that are a play: where the source of this moment drags them at once, without the closing rate.
     pulled: dict[str, Any] = field(default_factory=dict)
 
-    def known(self, function: Callable[..., Any], *arguments: Any) -> Any:
+    def cached(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return ``function(*arguments)``, from the recording's `ResultCache` where it has one."""
         cache = getattr(self.recording, "cache", None)
         return function(*arguments) if cache is None else cache(function, *arguments)

@@ -148,7 +148,7 @@ class SingleTrack:
             front.longitudinal_force = bare.front.longitudinal_force
             rear.longitudinal_force = bare.rear.longitudinal_force
         else:
-            forces = flow.known(self._longitudinal_forces, car, flow.T, ops)
+            forces = flow.cached(self._longitudinal_forces, car, flow.T, ops)
             front.longitudinal_force, rear.longitudinal_force = forces
         for term in self.terms:
             term.tire(flow)
@@ -159,7 +159,7 @@ class SingleTrack:
                 same_peak = _same(axle.D, known.D)
                 axle.lateral_force = known.lateral_force if same_peak else axle.D / known.D * known.lateral_force
             else:
-                axle.lateral_force = flow.known(lateral_force, axle.B, axle.C, axle.D, axle.slip_angle, ops)
+                axle.lateral_force = flow.cached(lateral_force, axle.B, axle.C, axle.D, axle.slip_angle, ops)
         for term in self.terms:
             term.lateral(flow)
         if nominal is not None and vx is nominal.vx:
@@ -234,7 +234,7 @@ class SingleTrack:
         if bare is not None and flow.delta is bare.delta:
             flow.sine, flow.cosine = bare.sine, bare.cosine
         else:
-            flow.sine, flow.cosine = flow.known(ops.sin, flow.delta), flow.known(ops.cos, flow.delta)
+            flow.sine, flow.cosine = flow.cached(ops.sin, flow.delta), flow.cached(ops.cos, flow.delta)
         alike = ("vx", "vy", "r", "l_f", "l_r")
         if bare is None or any(getattr(flow, name) is not getattr(bare, name) for name in alike):
             flow.front.slip_angle, flow.rear.slip_angle = slip_angles(
@@ -246,7 +246,7 @@ class SingleTrack:
         if flow.delta is bare.delta:
             flow.front.slip_angle = turned
         else:
-            flow.front.slip_angle = flow.known(_turned_further, turned, flow.delta, bare.delta)
+            flow.front.slip_angle = flow.cached(_turned_further, turned, flow.delta, bare.delta)
         flow.rear.slip_angle = bare.rear.slip_angle
 
     @staticmethod

@@ -225,7 +225,7 @@ def _is_below(address: str, folder: str | Path) -> bool:
     return not is_remote(address) and path.is_relative_to(os.path.realpath(folder))
 
 
-def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = None) -> dict[str, int]:
+def skipped_files(addresses: Sequence[str | Path], outside: str | Path | None = None) -> dict[str, int]:
     """Return by file ending how many files in folders among `addresses` are no logs, so that `find_sources` skips them.
 
     Files below the folder `outside` are not counted.

@@ -15,7 +15,7 @@ from split_cli.logs.signal_map import map_from_mapping
 from split_cli.signals import find_unit
 from split_cli.workflows.ingesting.ingest import open_logs
 from split_cli.workflows.ingesting.init import init_project
-from split_cli.workflows.sources import find_sources, left_alone
+from split_cli.workflows.sources import find_sources, skipped_files
 from tests.logs.planted import LOGGED, write_table
 from tests.optional import needed
 
@@ -198,7 +198,7 @@ def test_a_folder_of_a_phone_holds_a_file_for_each_sensor(rows, tmp_path):
         write_table(folder / f"{name}.csv", {"Time (s)": rows[:, 0], title: rows[:, column]})
     (folder / "device.csv").write_text('"property","value"\n"deviceModel","X"\n')
     assert [source.name for source in find_sources([folder])] == ["Gyroscope.csv", "Location.csv"]
-    assert left_alone([folder]) == {".csv": 1}
+    assert skipped_files([folder]) == {".csv": 1}
     steps = init_project([folder], tmp_path / "car").next_steps
     assert any(f"split init {folder} --together -o " in step for step in steps)
     assert "not judged; by" in (tmp_path / "car" / "map.yaml").read_text()

@@ -20,7 +20,7 @@ from split_cli.workflows.engine import open_engine
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
-from split_cli.workflows.sources import SourceFile, find_sources, left_alone
+from split_cli.workflows.sources import SourceFile, find_sources, skipped_files
 from split_cli.workflows.training.train import train_set
 from tests.conftest import ROOT
 from tests.logs import readers_support as support
@@ -63,7 +63,7 @@ def test_drives_that_lie_below_the_logs_are_no_logs(archive):
     first = ingest_logs([archive], archive / "drives")
     again = ingest_logs([archive], archive / "drives")
     assert len(first.results) == len(again.unchanged) == 3 and not again.results
-    assert left_alone([archive], outside=archive / "drives") == {".md": 1}
+    assert skipped_files([archive], outside=archive / "drives") == {".md": 1}
     (archive / "drives" / "a.parquet").rename(archive / "drives" / "b.parquet")
     assert [s.place for s in find_sources([archive / "drives" / "b.parquet"], outside=archive / "drives")] == [
         "b.parquet"
@@ -244,7 +244,7 @@ def test_a_folder_that_may_not_be_read_is_one_log_that_failed(archive, tmp_path)
         try:
             if os.getuid() == 0:  # who may read everything
                 ctypes.CDLL(None).capset(*NO_CAPABILITIES)
-            left_alone([archive])
+            skipped_files([archive])
             run = ingest_logs([archive], tmp_path / "drives", keep_going=True)
             told = [(one.log, "Permission denied" in str(one.error)) for one in run.failures]
             code = 0 if told == [("closed", True)] and len(run.results) == 3 else 1
@@ -261,11 +261,11 @@ def test_what_a_folder_holds_beside_recordings_is_told(tmp_path, capsys):
     (tmp_path / "logs" / "bag.md").mkdir()
     (tmp_path / "logs" / "bag.md" / "x.db3").write_text("")
     (tmp_path / "logs" / "loop").symlink_to(tmp_path / "logs")
-    assert left_alone([tmp_path / "logs"]) == {".md": 2, ".json": 1, "no ending": 1}
-    assert left_alone([tmp_path / "logs" / "a.csv", f"{tmp_path}/logs/*"]) == {}
+    assert skipped_files([tmp_path / "logs"]) == {".md": 2, ".json": 1, "no ending": 1}
+    assert skipped_files([tmp_path / "logs" / "a.csv", f"{tmp_path}/logs/*"]) == {}
     system = fsspec.filesystem("memory")
     system.put(str(tmp_path / "logs" / "more"), "/left/more", recursive=True)
-    assert left_alone(["memory://left"]) == {".md": 1}
+    assert skipped_files(["memory://left"]) == {".md": 1}
 
 
 def test_a_text_is_a_log_only_with_rows_of_numbers(tmp_path, capsys):
@@ -279,7 +279,7 @@ def test_a_text_is_a_log_only_with_rows_of_numbers(tmp_path, capsys):
     (logs / "lap.txt").write_text("t,vx\n" + "".join(f"{0.01 * n:.2f},10.0\n" for n in range(50)))
     (logs / "README.txt").write_text("Car 7 on 2 sets of tyres.\nWind from the left.\n")
     assert [s.place for s in find_sources([logs])] == ["lap.txt", "run.mcap.zstd"]
-    assert left_alone([logs]) == {".txt": 1}
+    assert skipped_files([logs]) == {".txt": 1}
     support.check_planted(open_recording(logs / "run.mcap.zstd"), planted, ("header", "log", "publish"))
     with pytest.raises(SystemExit, match="0"):
         main(["ingest", str(logs), "--list"])
@@ -301,7 +301,7 @@ def test_packed_logs_of_another_file_system_are_found_by_name(tmp_path):
         (tmp_path / "logs" / name).write_text("")
     fsspec.filesystem("memory").put(str(tmp_path / "logs"), "/packed", recursive=True)
     assert [source.place for source in find_sources(["memory://packed"])] == ["a.csv.gz", "b.mcap.zst"]
-    assert left_alone(["memory://packed"]) == {".gz": 1, ".zip": 1}
+    assert skipped_files(["memory://packed"]) == {".gz": 1, ".zip": 1}
     assert [source.place for source in find_sources(["memory://packed/c.zip"])] == ["c.zip"]
 
 

@@ -5,7 +5,7 @@ from numpy import ndarray
 
 from split_cli.compiled_code import compiled
 
-_AT_ONCE = 256
+_SAMPLES_AT_A_TIME = 256
 """Samples whose powers are computed at a time [1]: with the sums 47 kB, about the first cache of a core. Judgement; it
 affects time and no result."""
 
@@ -13,14 +13,14 @@ affects time and no result."""
 @compiled(cache=True, nogil=True)
 def _add_product(powers: ndarray, row: ndarray, weight: float, out: ndarray) -> None:
     a, b, c, v = powers[0, row[0]], powers[1, row[1]], powers[2, row[2]], powers[3, row[3]]
-    for s in range(_AT_ONCE):
+    for s in range(_SAMPLES_AT_A_TIME):
         out[s] += weight * (a[s] * b[s]) * (c[s] * v[s])
 
 
 @compiled(cache=True, nogil=True)
 def _add_products(powers: ndarray, row: ndarray, one: float, two: float, out: ndarray, other: ndarray) -> None:
     a, b, c, v = powers[0, row[0]], powers[1, row[1]], powers[2, row[2]], powers[3, row[3]]
-    for s in range(_AT_ONCE):
+    for s in range(_SAMPLES_AT_A_TIME):
         product = (a[s] * b[s]) * (c[s] * v[s])
         out[s] += one * product
         other[s] += two * product
@@ -59,9 +59,9 @@ def weighted_functions(
     """
     n = z.shape[1]
     out = np.zeros((3, n))
-    powers, total = np.ones((4, 5, _AT_ONCE)), np.zeros((3, _AT_ONCE))
-    for first in range(0, n, _AT_ONCE):
-        count = min(_AT_ONCE, n - first)
+    powers, total = np.ones((4, 5, _SAMPLES_AT_A_TIME)), np.zeros((3, _SAMPLES_AT_A_TIME))
+    for first in range(0, n, _SAMPLES_AT_A_TIME):
+        count = min(_SAMPLES_AT_A_TIME, n - first)
         for d in range(4):
             for p in range(1, 5):
                 for s in range(count):

@@ -36,7 +36,7 @@ _SMOOTH_DEVIATION = 0.03  # prior deviation of a smooth function's weight, as a 
 #: Effects of the simulation beyond its vehicle file that are fitted as terms of one parameter, see `shared_terms_of`.
 SHARED_TERMS = ("drive_lag", "steer_lag", "tire_relaxation", "combined_slip")
 
-_AT_ONCE = 16  # columns whose rates at all samples are in memory at a time
+_COLUMNS_AT_A_TIME = 16  # columns whose rates at all samples are in memory at a time
 _MEMORY_SECONDS = (0.03, 0.1, 0.35)  # time constants for a full-size car; they scale with the root of length
 
 
@@ -249,7 +249,7 @@ def spread(functions: Iterable[tuple[int, Sequence[np.ndarray]]], directions: np
 
 
 def _few_of(items: Sequence[Any]) -> Iterator[Sequence[Any]]:
-    return (items[k : k + _AT_ONCE] for k in range(0, len(items), _AT_ONCE))
+    return (items[k : k + _COLUMNS_AT_A_TIME] for k in range(0, len(items), _COLUMNS_AT_A_TIME))
 
 
 def build_shared_discrepancy(vehicle: Vehicle, series: Series) -> SharedDiscrepancy:

@@ -9,7 +9,7 @@ from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
 
 _HORIZON = 0.05
-_ROWS_AT_ONCE = 8192  # rows that are joined for a product [1]; affects memory alone
+_ROWS_AT_A_TIME = 8192  # rows that are joined for a product [1]; affects memory alone
 
 
 def effect_to_noise(series: Series, defect: np.ndarray) -> float:
@@ -68,8 +68,8 @@ def products_of(blocks: Sequence[np.ndarray]) -> np.ndarray:
     Blocks are joined for some rows at a time, so that the columns are not in memory twice.
     """
     total = 0.0
-    for begin in range(0, max(len(blocks[0]), 1), _ROWS_AT_ONCE):
-        rows = np.hstack([some[begin : begin + _ROWS_AT_ONCE] for some in blocks])
+    for begin in range(0, max(len(blocks[0]), 1), _ROWS_AT_A_TIME):
+        rows = np.hstack([some[begin : begin + _ROWS_AT_A_TIME] for some in blocks])
         total = total + rows.T @ rows
     return total
 

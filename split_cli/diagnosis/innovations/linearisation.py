@@ -20,7 +20,7 @@ from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-_AT_ONCE = 4.0
+_UNRESOLVED = 4.0
 """Sample period over the time in which forces build up, from which on they do so at once [1]. Judgement: within a
 quarter of a sample. A lag that short cannot be told from the error of integration, which would feed on itself: a
 nominal car's 6 mm became 21 mm in eight passes."""
@@ -79,7 +79,7 @@ def linearise(vehicle: Vehicle, series: Series, terms: Sequence[Term] = ()) -> L
     late = relaxation({"length": length})
     by_speed = late.fastest_rate(1.0)  # 0 for a length so short that forces build up at once
     rate = by_speed * np.abs(series.predicted[:, 0])
-    if by_speed == 0.0 or np.median(rate) * series.period > _AT_ONCE:
+    if by_speed == 0.0 or np.median(rate) * series.period > _UNRESOLVED:
         return Linearisation(jacobian, jacobian, None, series.recording)
     model = SingleTrack(vehicle, (*rest, late))
     held = {name: np.zeros(len(series)) for name in model.state_names}

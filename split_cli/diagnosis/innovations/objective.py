@@ -33,7 +33,7 @@ _REMEMBERED = 64
 #: Step of CG shifts, in wheelbases, between which rates of the discrepancy are interpolated linearly [1].
 _SHIFTS = 0.02
 #: Lists of terms whose rows are filtered together [1]; affects time and memory alone.
-_FILTERED_AT_ONCE = 8
+_LISTS_AT_A_TIME = 8
 #: Length of blocks of time for standard errors of sums [s]. Judgement: longer than transients.
 _BLOCK_SECONDS = 2.0
 
@@ -316,8 +316,8 @@ class MarginalLikelihood:
         Several lists are filtered together. Lists that differ only in terms that change witnesses are not filtered.
         """
         known = key_of_terms(self._moving(beside))
-        for begin in range(0, len(several), _FILTERED_AT_ONCE):
-            some = several[begin : begin + _FILTERED_AT_ONCE]
+        for begin in range(0, len(several), _LISTS_AT_A_TIME):
+            some = several[begin : begin + _LISTS_AT_A_TIME]
             moved = [terms for terms in some if key_of_terms(self._moving(terms)) != known]
             carried = [[self.discrepancy_change(one, terms) for terms in moved] for one in self.evidence]
             rows = [one.rows_of_each(moved, rates) for one, rates in zip(self.evidence, carried, strict=True)]

@@ -21,7 +21,7 @@ from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
-_ROWS_AT_ONCE = 512  # rows of all parts' columns that are whitened at a time [1]; affects memory alone
+_ROWS_AT_A_TIME = 512  # rows of all parts' columns that are whitened at a time [1]; affects memory alone
 _DISCREPANCY = "varied discrepancy"  # key of the objective's cache: columns of the shared discrepancy
 _ASKED = "asked beside"  # key of the objective's cache: `_FormError` of the last explanation
 
@@ -112,7 +112,7 @@ def _products(
         left, functions = _left_by_all(one, parts), _functions(one)
         effects = [_effect(one, terms, k, left[id(terms)]) for terms, k in parts]
         estimate = np.zeros((6, count))
-        for at, rows, whitener in one.whitener.stretches(_ROWS_AT_ONCE):
+        for at, rows, whitener in one.whitener.stretches(_ROWS_AT_A_TIME):
             varied = [_varied_by(one, effect[at], by_axle, functions[at]) for effect, by_axle in effects]
             x = whitener(np.concatenate(varied, axis=2), estimate)[keep[rows]].reshape(-1, count)
             here = slice(end, end + len(x))

@@ -116,10 +116,10 @@ class CombinedSlip(Term):
     def lateral(self, flow: Flow) -> None:
         """Take from the lateral force what the longitudinal uses."""
         for axle in (flow.front, flow.rear):
-            left = flow.known(
+            left = flow.cached(
                 share_beside_longitudinal, axle.longitudinal_force, axle.D, self.parameters["strength"], flow.ops
             )
-            axle.lateral_force = flow.known(operator.mul, axle.lateral_force, left)
+            axle.lateral_force = flow.cached(operator.mul, axle.lateral_force, left)
 
 
 class FrictionScale(Term):

@@ -71,7 +71,7 @@ class TireRelaxation(BuildsUp):
         """Let each axle's force follow its steady value."""
         for name, axle in (("front", flow.front), ("rear", flow.rear)):
             axle.lateral_force = self.arrived(
-                flow, name, axle.lateral_force, lambda length: flow.known(_rolling_rate, length, flow.vx)
+                flow, name, axle.lateral_force, lambda length: flow.cached(_rolling_rate, length, flow.vx)
             )
 
 
