@@ -20,7 +20,7 @@ class Slopes:
     gradient: np.ndarray  # (P,), half the cost's gradient: J^T r, weights and priors included
     curvature: np.ndarray  # (P, P), half the cost's Hessian: J^T J, weights and priors included
     # Bound of the decrease of the cost that these derivatives may miss, where they were computed at another point.
-    doubt: float = 0.0
+    missed: float = 0.0
 
     def step(self, damping: float, free: np.ndarray) -> np.ndarray:
         """Return Marquardt's step, shape (P,): (H + lambda diag H) d = -g, no parameter moved that is not free."""
@@ -43,7 +43,7 @@ class Descent(Generic[State]):
     parameters: np.ndarray  # (P,)
     cost: float
     state: State  # what `evaluate` returned beside the cost
-    # The last derivatives: those before the last step, or those that `follow` derived from them after it.
+    # The last derivatives: those before the last step, or those that `update` derived from them after it.
     slopes: Slopes
 
 
@@ -58,8 +58,8 @@ def descend(
     iterations: int,
     tries: int = 5,
     movable: np.ndarray | None = None,
-    known: Slopes | None = None,
-    follow: Callable[[Slopes, tuple[np.ndarray, State], tuple[np.ndarray, State]], Slopes | None] | None = None,
+    first: Slopes | None = None,
+    update: Callable[[Slopes, tuple[np.ndarray, State], tuple[np.ndarray, State]], Slopes | None] | None = None,
 ) -> Descent[State]:
     """Minimise a sum of squares inside bounds.
 
@@ -77,9 +77,9 @@ def descend(
         Largest number of linearisations, and of steps tried at each.
     movable : ndarray of bool, shape (P,), optional
         Parameters that may move; all by default.
-    known : Slopes, optional
+    first : Slopes, optional
         Approximate derivatives at the start, taken from a similar problem.
-    follow : callable, optional
+    update : callable, optional
         From the derivatives before a step, and (parameters, state) before and after it, to approximate derivatives
         after it, or None where they must be computed anew, as by default they always are.
 
@@ -87,21 +87,21 @@ def descend(
     -----
     Marquardt (1963), see `Slopes.step`. A parameter at its bound whose descent direction points outward is held for
     the step; steps are clipped at bounds. With approximate derivatives one step is tried, not `tries`. Where they
-    predict too small a decrease, the descent ends, unless their `doubt` is larger: then they are computed anew.
+    predict too small a decrease, the descent ends, unless their `missed` is larger: then they are computed anew.
     """
 
     def movable_now(x: np.ndarray, slopes: Slopes) -> np.ndarray:
         free = ~(((x <= lower) & (slopes.gradient > 0)) | ((x >= upper) & (slopes.gradient < 0)))
         return free if movable is None else free & movable
 
-    x, damping, kept = start, _FIRST_DAMPING, known
+    x, damping, kept = start, _FIRST_DAMPING, first
     cost, state = evaluate(x)
     for _ in range(iterations):
         anew = kept is None
         slopes, kept, gained = linearise(x, state) if kept is None else kept, None, 0.0
         free = movable_now(x, slopes)
         if not anew and enough(slopes.predicted_decrease(free), cost):
-            if enough(slopes.doubt, cost):
+            if enough(slopes.missed, cost):
                 break
             anew, slopes = True, linearise(x, state)
             free = movable_now(x, slopes)
@@ -110,7 +110,7 @@ def descend(
             there, trial_state = evaluate(trial)
             if there < cost:
                 gained = cost - there
-                kept = follow(slopes, (x, state), (trial, trial_state)) if follow else None
+                kept = update(slopes, (x, state), (trial, trial_state)) if update else None
                 x, cost, state = trial, there, trial_state
                 damping = max(damping / _FALL, _LEAST_DAMPING)
                 break

@@ -242,13 +242,13 @@ def test_derivatives_of_another_fit_lead_to_the_same_optimum_for_less(pushed, mo
     )
     fresh = fit_parts(pushed, parts)
     needed, evaluated[:] = len(evaluated), []
-    shared = fit_parts(pushed, parts, known=alone)
+    shared = fit_parts(pushed, parts, slopes_of=alone)
     assert len(evaluated) < needed
     assert shared.cost == pytest.approx(fresh.cost, abs=0.05)
     for one, other, error in zip(shared.parts, fresh.parts, standard_errors(fresh), strict=True):
         assert list(one.values.values()) == pytest.approx(list(other.values.values()), abs=0.05 * error)
     evaluated[:] = []
-    again = fit_parts(pushed, shared.parts, known=shared)
+    again = fit_parts(pushed, shared.parts, slopes_of=shared)
     assert len(evaluated) == 1 and again.cost <= shared.cost
 
 
@@ -258,4 +258,4 @@ def test_wrong_derivatives_of_another_fit_do_not_end_a_fit(pushed):
     both = fit_parts(pushed, [Part(drag, {"drag": 0.2}), Part(resistance, {"force": 100.0})])
     turned = replace(both, sensitivity=-both.sensitivity)
     for parts in ((*both.parts[:1], Part(resistance, {"force": 20.0})), both.parts[:1]):
-        assert fit_parts(pushed, parts, known=turned).cost == pytest.approx(fit_parts(pushed, parts).cost, abs=0.05)
+        assert fit_parts(pushed, parts, slopes_of=turned).cost == pytest.approx(fit_parts(pushed, parts).cost, abs=0.05)

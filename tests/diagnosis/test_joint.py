@@ -124,7 +124,7 @@ def test_what_leaves_together_is_a_refit_away(explore):
     values = {**TRUE, "rolling_resistance": {"force": 20.0}, "steer_gain": {"gain": 1.001}}
     fit = fit_parts(explore.objective, [Part(by_term[term], dict(given)) for term, given in values.items()])
     promised, gone = estimated_removal_of_several(explore, fit)
-    rest = fit_parts(explore.objective, [part for k, part in enumerate(fit.parts) if k not in gone], known=fit)
+    rest = fit_parts(explore.objective, [part for k, part in enumerate(fit.parts) if k not in gone], slopes_of=fit)
     assert set(rest.names) == set(TRUE)
     assert promised == pytest.approx(explore.price(rest) - explore.price(fit), abs=0.3)
 

@@ -17,11 +17,11 @@ def slopes(x: np.ndarray, residuals: np.ndarray) -> Slopes:
 
 
 def followed(before: Slopes, here: tuple, there: tuple) -> Slopes:
-    """Broyden's update, trusted wherever it leads; `doubt` is never little enough to end with."""
+    """Broyden's update, trusted wherever it leads; `missed` is never little enough to end with."""
     step = there[0] - here[0]
     missed = there[1] - here[1] - before.jacobian @ step
     jacobian = before.jacobian + np.outer(missed, step) / (step @ step)
-    return Slopes(jacobian, jacobian.T @ there[1], jacobian.T @ jacobian, doubt=np.inf)
+    return Slopes(jacobian, jacobian.T @ there[1], jacobian.T @ jacobian, missed=np.inf)
 
 
 def descended(start, lower, upper, slopes=slopes, **options):
@@ -72,7 +72,7 @@ def test_slopes_that_follow_the_steps_lead_to_the_same_answer_with_fewer_worked_
     expected = descended(start, lower, upper, slopes=counting)
     worked_out = len(counted)
     counted.clear()
-    found = descended(start, lower, upper, slopes=counting, follow=followed)
+    found = descended(start, lower, upper, slopes=counting, update=followed)
     assert found.parameters == pytest.approx(expected.parameters, abs=1e-5)
     assert len(counted) < worked_out
 
@@ -81,6 +81,6 @@ def test_known_slopes_end_a_descent_only_without_doubt():
     """Slopes of nothing promise nothing: nothing moves, unless in doubt those of the place are worked out."""
     blind = Slopes(np.zeros((2, 2)), np.zeros(2), np.zeros((2, 2)))
     start, lower, upper = (0.2, 0.5), (-5.0, -5.0), (5.0, 5.0)
-    assert tuple(descended(start, lower, upper, known=blind).parameters) == start
-    doubted = Slopes(blind.jacobian, blind.gradient, blind.curvature, doubt=1.0)
-    assert descended(start, lower, upper, known=doubted).parameters == pytest.approx([1.0, 1.0], abs=1e-5)
+    assert tuple(descended(start, lower, upper, first=blind).parameters) == start
+    doubted = Slopes(blind.jacobian, blind.gradient, blind.curvature, missed=1.0)
+    assert descended(start, lower, upper, first=doubted).parameters == pytest.approx([1.0, 1.0], abs=1e-5)

@@ -67,7 +67,7 @@ def _in_best_variants(explore: Explorer, fit: Fit) -> Fit:
     """Return a fit in which variants of parts are exchanged as long as that saves more than a tie."""
     while True:
         others = [
-            fit_parts(explore.objective, (*fit.parts[:k], _as_variant(part, one), *fit.parts[k + 1 :]), known=fit)
+            fit_parts(explore.objective, (*fit.parts[:k], _as_variant(part, one), *fit.parts[k + 1 :]), slopes_of=fit)
             for k, part in enumerate(fit.parts)
             for one in explore.candidates
             if one.term == part.candidate.term and one.variant != part.candidate.variant

@@ -30,7 +30,7 @@ def fewer_by_another_variant(explore: Explorer, base: Fit, chosen: Fit, named: S
     """
     best, least = None, np.inf
     for parts, gone in _mergers_by_estimated_cost(explore, chosen, named)[: explore.rules.considered]:
-        fit = fit_parts(explore.objective, parts, known=chosen)
+        fit = fit_parts(explore.objective, parts, slopes_of=chosen)
         price = explore.price(fit)
         if price < least and (price < explore.price(chosen) or _repairs(explore, chosen, fit, gone)):
             best, least = fit, price
@@ -42,7 +42,7 @@ def _repairs(explore: Explorer, chosen: Fit, without: Fit, gone: Part) -> bool:
     if is_better_beside_form_error(explore, chosen, without):
         return False
     sizes = sizes_with_form_error(explore.objective, without.terms)
-    back = fit_parts(explore.objective, (*without.parts, gone), known=without)
+    back = fit_parts(explore.objective, (*without.parts, gone), slopes_of=without)
     return bool(refusal(explore, without, sizes, back))
 
 
@@ -139,7 +139,7 @@ def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> F
     best, least = None, limit
     for _, fit, gone in sorted(cheapest, key=lambda one: one[0])[: rules.considered]:
         kept = [part for k, part in enumerate(fit.parts) if k not in gone]
-        rest = fit_parts(explore.objective, kept, known=fit)
+        rest = fit_parts(explore.objective, kept, slopes_of=fit)
         if explore.price(rest) < least:
             best, least = rest, explore.price(rest)
     return best
@@ -173,7 +173,7 @@ def pair_as_one(
         for fit, own in both[: explore.rules.full_fits] if one.starts else ():
             others = [part for part in fit.parts if part not in own]
             parts = (*others, Part(one, nearest_start(one, own[0])))
-            trial = fit_parts(explore.objective, parts, known=fit)
+            trial = fit_parts(explore.objective, parts, slopes_of=fit)
             if explore.price(trial) < least:
                 best, least = trial, explore.price(trial)
     return best
@@ -215,7 +215,7 @@ def in_places_of_two(explore: Explorer, chosen: Fit, k: int, nuisances: Sequence
             others = [part for i, part in enumerate(chosen.parts) if i not in (j, k)]
             alike = [one for one in explore.candidates if one.term == term and one.starts]
             fits += [
-                fit_parts(explore.objective, (*others, Part(one, nearest_start(one, own))), known=chosen)
+                fit_parts(explore.objective, (*others, Part(one, nearest_start(one, own))), slopes_of=chosen)
                 for one in alike
             ]
     return fits
@@ -235,7 +235,7 @@ def inverted_stretch(explore: Explorer, chosen: Fit) -> Fit | None:
             values = part.candidate.moved(part.values, -1.0)
             rest = Part(part.candidate, {**values, "s_start": values["s_end"], "s_end": values["s_start"]})
             others = chosen.parts[:k] + chosen.parts[k + 1 :]
-            there = fit_parts(explore.objective, (*others, rest), known=chosen)
+            there = fit_parts(explore.objective, (*others, rest), slopes_of=chosen)
             for begun in (there, *explore(there)[:1]):
                 fit = without_needless(explore, begun)
                 few = len(fit.parts) <= len(chosen.parts) and not any(map(explore.is_everywhere, fit.parts))
@@ -261,7 +261,7 @@ def one_as_pair(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]
             if taken & {*names}:
                 continue
             kept = [one for one in others if not repeats_a_delay([*names, one.candidate.term])]
-            fit = fit_parts(explore.objective, (*kept, *pair), known=chosen)
+            fit = fit_parts(explore.objective, (*kept, *pair), slopes_of=chosen)
             price = explore.price(fit)
             as_good = best is None and len(kept) < len(others) and price < explore.price(chosen) + rules.tie
             if as_good or (price < least and is_better_beside_form_error(explore, fit, chosen)):

@@ -259,7 +259,7 @@ def _fitted(objective: MarginalLikelihood, asked: tuple[Fit, list[tuple[float, T
         # A second start is fitted if it may be better than the first fit.
         if len(fits) < 2 and all(fit.cost >= estimated for fit in fits):
             parts = (*current.parts, linear.part)
-            fits.append(fit_parts(objective, parts, known=current, tangents=(linear,)))
+            fits.append(fit_parts(objective, parts, slopes_of=current, tangents=(linear,)))
     return fits
 
 

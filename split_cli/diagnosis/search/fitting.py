@@ -96,13 +96,17 @@ def sensitivity_of(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
 
 
 def fit_parts(
-    objective: MarginalLikelihood, parts: Sequence[Part], *, known: Fit | None = None, tangents: Sequence[Tangent] = ()
+    objective: MarginalLikelihood,
+    parts: Sequence[Part],
+    *,
+    slopes_of: Fit | None = None,
+    tangents: Sequence[Tangent] = (),
 ) -> Fit:
     """Return a joint fit of all parameters of parts, started at the parts' values.
 
     Parameters
     ----------
-    known : Fit, optional
+    slopes_of : Fit, optional
         A fit on the same objective. Its derivatives with respect to parts in common are used for the first step.
     tangents : sequence of Tangent
         Derivatives of further parts for the first step.
@@ -110,13 +114,13 @@ def fit_parts(
     parts = tuple(parts)
     # The effect of a place is not differentiable at its ends, so that derivatives cannot be reused.
     tangents = () if any(part.candidate.located for part in parts) else tangents
-    return _fit(objective, parts, _ITERATIONS, known=known, tangents=tangents)
+    return _fit(objective, parts, _ITERATIONS, slopes_of=slopes_of, tangents=tangents)
 
 
 def refitted(objective: MarginalLikelihood, asked: tuple[Sequence[Part], Fit]) -> Fit:
-    """Return `fit_parts` of parts with a known fit, as a task for `map_distributed_with`."""
-    parts, known = asked
-    return fit_parts(objective, parts, known=known)
+    """Return `fit_parts` of parts with the slopes of a fit, as a task for `map_distributed_with`."""
+    parts, fit = asked
+    return fit_parts(objective, parts, slopes_of=fit)
 
 
 def fits_without(objective: MarginalLikelihood, fit: Fit, numbers: Iterable[int]) -> list[Fit]:
@@ -168,7 +172,7 @@ def _fit(
     parts: tuple[Part, ...],
     iterations: int,
     moments: tuple[np.ndarray, np.ndarray] | None = None,
-    known: Fit | None = None,
+    slopes_of: Fit | None = None,
     tangents: Sequence[Tangent] = (),
 ) -> Fit:
     """Return a joint fit by at most so many iterations.
@@ -214,15 +218,15 @@ def _fit(
             jacobian[:, own] = objective.whiten(_slopes(objective, terms_at, here, x, upper, own))
         return slopes_of(jacobian, x, state)
 
-    def follow(slopes: Slopes, before: tuple[np.ndarray, tuple], after: tuple[np.ndarray, tuple]) -> Slopes | None:
+    def update(slopes: Slopes, before: tuple[np.ndarray, tuple], after: tuple[np.ndarray, tuple]) -> Slopes | None:
         jacobian, missed = _broyden_update(slopes, after[0] - before[0], after[1][1] - before[1][1])
         return slopes_of(jacobian, *after, missed) if missed < _MOST_UPDATE_ERROR else None
 
     first, placed = evaluate(x), any(part.candidate.located for part in parts)
-    shared = _shared_slopes(parts, known, tangents, steps)
+    shared = _shared_slopes(parts, slopes_of, tangents, steps)
     begun = linearise(x, first[1], shared) if shared else None
     if begun is not None and (tangents or len(shared) < len(x)):
-        begun = replace(begun, doubt=np.inf)  # a fit must not end with derivatives of another one
+        begun = replace(begun, missed=np.inf)  # a fit must not end with derivatives of another one
     found = descend(
         lambda at: first if at is x else evaluate(at),
         linearise,
@@ -231,8 +235,8 @@ def _fit(
         upper,
         enough=lambda gained, _: gained < _LEAST_GAIN,
         iterations=iterations,
-        known=begun,
-        follow=None if moments is not None or placed else follow,
+        first=begun,
+        update=None if moments is not None or placed else update,
     )
     residuals, jacobian = found.state[1], found.slopes.jacobian
     parts = _with(parts, names, found.parameters * steps)
@@ -265,14 +269,14 @@ def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarr
 
 
 def _shared_slopes(
-    parts: Sequence[Part], known: Fit | None, tangents: Sequence[Tangent], steps: np.ndarray
+    parts: Sequence[Part], fit: Fit | None, tangents: Sequence[Tangent], steps: np.ndarray
 ) -> dict[int, np.ndarray]:
     """Return known derivatives per step, shape (R,) each, by the number of the parameter."""
     of_tangents = {id(linear.part): linear.slopes for linear in tangents}
     of_fit = {}
-    for part in known.parts if known is not None and known.sensitivity.shape[1] else ():
+    for part in fit.parts if fit is not None and fit.sensitivity.shape[1] else ():
         first = sum(slopes.shape[1] for slopes in of_fit.values())
-        of_fit[id(part)] = known.sensitivity[:, first : first + len(part.values)]
+        of_fit[id(part)] = fit.sensitivity[:, first : first + len(part.values)]
     columns, number = {}, 0
     for part in parts:
         for i in range(len(part.values)):
@@ -368,11 +372,11 @@ def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside:
 
 def _terms_of(parts: Sequence[Part], steps: np.ndarray) -> Callable[[np.ndarray], list[Term]]:
     """Return a function from values in steps, shape (P,), to the terms of parts; equal terms are built once."""
-    known: list[dict[tuple[float, ...], Term]] = [{} for _ in parts]
+    built: list[dict[tuple[float, ...], Term]] = [{} for _ in parts]
 
     def terms_at(x: np.ndarray) -> list[Term]:
         out, left = [], iter((x * steps).tolist())
-        for part, made in zip(parts, known, strict=True):
+        for part, made in zip(parts, built, strict=True):
             own = dict(zip(part.values, left, strict=False))
             key = tuple(own.values())
             if key not in made:

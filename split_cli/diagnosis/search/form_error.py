@@ -221,7 +221,7 @@ def _moved_by_refits(objective: MarginalLikelihood, fit: Fit, values: np.ndarray
         fit_parts(
             objective,
             (*fit.parts[:k], Part(replace(part.candidate, variant=variant), part.values), *fit.parts[k + 1 :]),
-            known=fit,
+            slopes_of=fit,
         )
         for k, part in enumerate(fit.parts)
         for variant in (type(part.term).laws(part.candidate.variant) if part.term.loads_tires else ())

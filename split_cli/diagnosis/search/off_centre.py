@@ -34,7 +34,7 @@ def with_offset_of_straights(
     chosen = selection.chosen
     keep = [k for k, part in enumerate(chosen.parts) if part.candidate.term != _TERM]
     others = tuple(chosen.parts[k] for k in keep)
-    fit = fit_parts(objective, (*others, Part(own[0], {"offset": -straight.angle})), known=chosen)
+    fit = fit_parts(objective, (*others, Part(own[0], {"offset": -straight.angle})), slopes_of=chosen)
     if not agrees_with_straights(objective, straight, fit):
         return selection
     without, last, rules = without_parts(objective, selection.base, fit), len(others), objective.policy.selection

@@ -70,5 +70,5 @@ def _are_one(first: Tangent, second: Tangent) -> bool:
 
 def with_pair(explore: Explorer, current: Fit, pair: tuple[Tangent, Tangent]) -> Fit | None:
     """Return an explanation with two further terms, fitted; None if one is denied, or equals another term."""
-    fit = fit_parts(explore.objective, (*current.parts, *(one.part for one in pair)), known=current, tangents=pair)
+    fit = fit_parts(explore.objective, (*current.parts, *(one.part for one in pair)), slopes_of=current, tangents=pair)
     return fit if all(explore.is_possible(fit, k) for k in range(len(current.parts), len(fit.parts))) else None

@@ -134,7 +134,7 @@ def strongest_beside_tolerated(
     Such an error, as an offset of the gyroscope, acts all along the drive.
     """
     tolerated = [part for part in chosen.parts if part.is_within_tolerance]
-    fit = fit_parts(objective, tolerated, known=chosen) if tolerated else base
+    fit = fit_parts(objective, tolerated, slopes_of=chosen) if tolerated else base
     return strongest_part(objective, tangents(), fit.residuals, variance_inflation)
 
 

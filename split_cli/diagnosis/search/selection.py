@@ -189,7 +189,7 @@ def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
     left = len(fit.parts)
     while left > 1:
         for k in cheapest_first(explore, fit):
-            rest = fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :], known=fit)
+            rest = fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :], slopes_of=fit)
             if is_refused_last(explore, rest, fit, k):
                 fit, left = rest, left - 1
                 break
@@ -276,7 +276,7 @@ def _settled_nuisances(explore: Explorer, selection: Selection, history: list[st
             history.append(f"{label} gives way: another is named without it")
         elif supported and own - supported and _is_dispensable(explore, selection, k):
             others = [part for part in trial.chosen.parts if part.candidate.term not in supported]
-            trial = _compared(explore, selection.base, fit_parts(explore.objective, others, known=trial.chosen))
+            trial = _compared(explore, selection.base, fit_parts(explore.objective, others, slopes_of=trial.chosen))
             if {term.id for term in trial.terms} != own - supported:
                 break
             history.append(f"{label} leaves with {' and '.join(sorted(supported))}, of no name without it")

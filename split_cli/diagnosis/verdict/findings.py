@@ -155,7 +155,7 @@ def _stays_beside(
     for term, value in scales.items():
         ends = Range(value - _SCALE_STEP, value + _SCALE_STEP, _SCALE_STEP)
         wrong.append(Part(Candidate(term, "", {"scale": ends}, ()), {"scale": value}))
-    beside = fit_parts(objective, (*selection.chosen.parts, *wrong), known=selection.chosen)
+    beside = fit_parts(objective, (*selection.chosen.parts, *wrong), slopes_of=selection.chosen)
     values = {part.candidate.term: part.values for part in beside.parts}
 
     def stays(one: Finding) -> bool:

@@ -93,19 +93,19 @@ def fit_without_held_out(case: DiagnosisCase, objective: MarginalLikelihood, who
 
 
 def judge_names(
-    fit: HeldOutFit, known: Sequence[bool], findings: Sequence[Finding], remainder: RemainderTest
+    fit: HeldOutFit, acting: Sequence[bool], findings: Sequence[Finding], remainder: RemainderTest
 ) -> HeldOutJudgement:
     """Judge findings on held-out time, without the parts that are not known to act.
 
     Parameters
     ----------
-    known : sequence of bool
+    acting : sequence of bool
         Of every part of the fit: whether it is named, or a sensor error within tolerance.
     """
-    terms = tuple(part.term for part in fitted_alone(fit.split.training, fit.trained, known, findings))
+    terms = tuple(part.term for part in fitted_alone(fit.split.training, fit.trained, acting, findings))
     corrected = judge_corrected(fit.recordings, terms)
-    if corrected is not None and not all(known):
-        parts = fitted_alone(fit.objective, fit.whole, known, findings)
+    if corrected is not None and not all(acting):
+        parts = fitted_alone(fit.objective, fit.whole, acting, findings)
         corrected = replace(corrected, values={one.candidate.term: one.values for one in parts})
     return HeldOutJudgement(
         with_shares(findings, fit.whole, fit.shares),
@@ -115,7 +115,7 @@ def judge_names(
     )
 
 
-def with_nameless_parts(fit: HeldOutFit, known: Sequence[bool], judged: HeldOutJudgement) -> HeldOutJudgement:
+def with_nameless_parts(fit: HeldOutFit, acting: Sequence[bool], judged: HeldOutJudgement) -> HeldOutJudgement:
     """Return the judgement of the whole fit, if the findings alone give no accepted vehicle.
 
     Notes
@@ -125,10 +125,10 @@ def with_nameless_parts(fit: HeldOutFit, known: Sequence[bool], judged: HeldOutJ
     for the second time. So it must also be no worse on training time, and there better in some velocity after 2 s.
     """
     corrected = judged.corrected
-    if corrected is None or corrected.accepted or all(known):
+    if corrected is None or corrected.accepted or all(acting):
         return judged
     further = tuple(
-        _as_effect(part) for part, one in zip(fit.whole.parts, known, strict=True) if not one and part.term.exported
+        _as_effect(part) for part, one in zip(fit.whole.parts, acting, strict=True) if not one and part.term.exported
     )
     together = judge_corrected(fit.recordings, fit.trained.terms) if further else None
     if together is None or not together.accepted:

@@ -71,16 +71,16 @@ def hold_out(
 
 
 def fitted_alone(
-    objective: MarginalLikelihood, fit: Fit, known: Sequence[bool], findings: Sequence[Finding]
+    objective: MarginalLikelihood, fit: Fit, acting: Sequence[bool], findings: Sequence[Finding]
 ) -> tuple[Part, ...]:
-    """Return the known parts of a fit, refitted without the other parts and within their 95 % intervals.
+    """Return the parts of a fit that are known to act, refitted without the other parts and within their 95 % intervals.
 
     Parameters
     ----------
     objective : MarginalLikelihood
     fit : Fit
         Of all parts.
-    known : sequence of bool
+    acting : sequence of bool
         Of every part: whether it is named, or a sensor error within tolerance.
     findings : sequence of Finding
         Whose 95 % intervals bound the values.
@@ -91,7 +91,7 @@ def fitted_alone(
     the findings alone lacks the parts without a name, so its values are those that are best without them. A parameter
     that the drive does not excite keeps the value of its finding.
     """
-    parts = tuple(part for part, one in zip(fit.parts, known, strict=True) if one)
+    parts = tuple(part for part, one in zip(fit.parts, acting, strict=True) if one)
     if len(parts) in (0, len(fit.parts)):
         return parts
     by_term = {one.term: one for one in findings}

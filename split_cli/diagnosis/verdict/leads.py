@@ -38,14 +38,14 @@ def find_leads(
     excludes no effect. Alone it is no lead where a finding explains as much. Beside findings it must also pass the
     tests of a further finding, with a stricter level.
     """
-    chosen, known = selection.chosen, {term.id for term in selection.terms}
+    chosen, names = selection.chosen, {term.id for term in selection.terms}
     explore = Explorer(objective, tuple(fit.parts[-1].candidate for fit in selection.first), variance_inflation)
     found: dict[str, Lead] = {}
     beside = _beside_names(selection)
     for rest, fits in ((selection.base, selection.first), *beside):
         least = min(chosen.cost, rest.cost) if rest is selection.base else rest.cost
-        for lead, free in _leads_beside(objective, rest, fits, least, known):
-            if rest is selection.base and known.intersection(lead.instead):
+        for lead, free in _leads_beside(objective, rest, fits, least, names):
+            if rest is selection.base and names.intersection(lead.instead):
                 continue  # a finding explains it as well, and real cars have its value
             if rest is selection.base or _passes_strict_tests(explore, rest, free):
                 found.setdefault(lead.term, lead)
@@ -127,7 +127,7 @@ def _passes_strict_tests(explore: Explorer, rest: Fit, free: Fit) -> bool:
 
 
 def _leads_beside(
-    objective: MarginalLikelihood, rest: Fit, fits: Sequence[Fit], least: float, known: Set[str]
+    objective: MarginalLikelihood, rest: Fit, fits: Sequence[Fit], least: float, names: Set[str]
 ) -> list[tuple[Lead, Fit]]:
     """Return the leads among terms fitted beside `rest`, which may be without parts, and their fits.
 
@@ -141,7 +141,7 @@ def _leads_beside(
     bounded: dict[str, Fit] = {}
     for fit in fits:
         part = fit.parts[-1]
-        if part.candidate.term not in known and part.candidate.at_limit(part.values):
+        if part.candidate.term not in names and part.candidate.at_limit(part.values):
             bounded.setdefault(part.candidate.term, fit)
     leads = []
     for fit in bounded.values():
