@@ -26,7 +26,7 @@ from split_cli.logs.raw import NO_CHECKSUMS
 from split_cli.logs.readers.opening import open_parts, open_recording
 from split_cli.workflows.ingesting.ingest import ingest_logs, open_logs, suggest_map_for
 from split_cli.workflows.ingesting.init import init_project
-from split_cli.workflows.sources import find_sources, left_alone
+from split_cli.workflows.sources import find_sources, skipped_files
 from tests.logs.test_readers_motec_ld import lap, written
 
 PACKERS = {
@@ -261,7 +261,7 @@ def test_archives_that_cannot_be_read_are_one_error(table, tmp_path, scratch):
     for use in (open_recording, open_parts):
         with pytest.raises(LogError, match="lists more files than any recording"):
             use(tmp_path / "many.zip")
-    assert left_alone([tmp_path])[".zip"] >= 1
+    assert skipped_files([tmp_path])[".zip"] >= 1
     assert list(scratch.iterdir()) == []
 
 
@@ -288,7 +288,7 @@ def test_a_folder_is_searched_for_packed_recordings_and_archives_of_them(table, 
     zipped(tmp_path / "e.zip", {"lap.csv": table})
     zipped(tmp_path / "pictures.zip", {"a.png": b"\x89PNG"})
     assert [source.place for source in find_sources([tmp_path])] == ["a.csv.gz", "b.MCAP.ZST", "c.mat.xz", "e.zip"]
-    assert left_alone([tmp_path]) == {".gz": 3, ".zip": 1}
+    assert skipped_files([tmp_path]) == {".gz": 3, ".zip": 1}
     with pytest.raises(SplitError, match="holds no drive"):
         find_sources([tmp_path], (".parquet", ".pq", ".csv"), what="drive")
 

@@ -73,7 +73,7 @@ def hold_out(
 def fitted_alone(
     objective: MarginalLikelihood, fit: Fit, acting: Sequence[bool], findings: Sequence[Finding]
 ) -> tuple[Part, ...]:
-    """Return the parts of a fit that are known to act, refitted without the other parts and within their 95 % intervals.
+    """Return the parts of a fit that are known to act, refitted without the others and within their 95 % intervals.
 
     Parameters
     ----------
