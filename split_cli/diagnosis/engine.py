@@ -180,11 +180,11 @@ def _screened(
     """
     drives, notes = clean_drives([*real, *simulated, *holdout], policy.screening, vehicle)
     roles = ["real"] * len(real) + ["sim"] * len(simulated) + ["holdout"] * len(holdout)
-    taught = drives[len(real) : len(real) + len(simulated)]
+    of_simulation = drives[len(real) : len(real) + len(simulated)]
     reasons = [
         reason
         for drive, role in zip(drives, roles, strict=True)
-        for reason in unfit(drive, vehicle, policy.screening, () if role == "sim" else taught)
+        for reason in unfit(drive, vehicle, policy.screening, () if role == "sim" else of_simulation)
     ]
     reasons = (
         list(dict.fromkeys([*reasons, *notes])) if reasons else idle(drives[: len(real)], vehicle, policy.screening)

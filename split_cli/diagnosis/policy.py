@@ -59,20 +59,20 @@ class ComparisonRules:
     reach: float = number(
         0.35,
         "1",
-        "distance in scaled features up to which a real row lies where the simulation has been; as far as it "
-        "takes, up to twice that, where hardly any row is nearer",
+        "largest distance in scaled features of a compared real row from the nearest simulated one; up to "
+        "twice as much if hardly any row is nearer",
         CHOSEN,
     )
     least_rows: int = number(
         250,
         "rows of 0.04 s",
-        "evidence below which nothing is decided; half of it in a half of the simulation, a quarter kept out for "
-        "a share of the gap; length of a stretch from one to the next of which instruments drift, and at most "
-        "of a block when a simulation is dealt into halves",
+        "compared rows that a decision needs. Half of it is needed in a half of the simulation, and a "
+        "quarter on held-out time for a share of the gap. It is also the length of the stretches between "
+        "which instruments drift, and of the longest block when a simulation is split into halves",
         JUDGEMENT + "ten seconds of driving",
     )
     least_share: float = number(
-        0.1, "1", "compared share of the real drive below which what has no name is not decided", CHOSEN
+        0.1, "1", "compared share of the real drive below which a difference without a name is undecided", CHOSEN
     )
 
     @property
@@ -103,8 +103,8 @@ class SelectionRules:
     price: float = number(
         8.0,
         "chi squared",
-        "cost, after variance inflation, that a searched parameter has to save; up to which another explanation "
-        "is as good, and a channel's witnesses say too little",
+        "cost over the variance inflation that each searched parameter has to save. Up to this difference "
+        "another explanation is as good. Witnesses of a channel that save less are no evidence",
         THEORY + "between the prices of AIC (2) and BIC (ln n, about 9 for an hour's rows)",
     )
     most_nuisances: int = number(
@@ -124,34 +124,36 @@ class SelectionRules:
     sure: float = number(
         15.0,
         "standard errors",
-        "size of a term, from scores block by block, from which on it need not save in enough blocks of time",
+        "size of a term over its standard error from blocks of time, above which it need not save in enough of them",
         CHOSEN,
     )
     above_noise: float = number(
         1.0,
         "effect-to-noise ratio",
-        "size from which on a term need not either, and a remainder is unexplained however large the gap",
+        "effect-to-noise ratio above which a term need not save in enough blocks of time, and above which a "
+        "remainder is unexplained however large the gap",
         THEORY + "as large as the noise",
     )
     much_over_noise: float = number(
         3.0,
         "1",
-        "variance over that of noise from which on there is much: between halves of a simulation, so that a place "
-        "is believed like any few moments; in a channel, so that who takes nearly all is no model-form error",
+        "variance over that of noise that counts as large. Between halves of a simulation, a term at a "
+        "place then has to save in many blocks too. In a channel, a term that removes nearly all of it is "
+        "then no model-form error",
         CHOSEN,
     )
     fair_share: float = number(
         0.2,
         "1",
-        "share that matters: of what witnesses contradict, to be a sensor's; of the variance left in a channel, "
-        "below which a term has taken nearly all; of the forces on the drives, averaged over 2 s, from which on "
-        "an effect that could hide leaves no match; of what a term saves, that another may lack and be as good; "
-        "of the gap without a name, from which on it is unexplained; of either drive, to lie where the other has "
-        "been, for a name",
+        "share that matters. Of what witnesses contradict: a sensor fault removes more. Of the variance "
+        "left in a channel: below it a term has removed nearly all. Of the forces over 2 s: above it a "
+        "hidden effect leaves no match. Of a saving: another term that lacks less is as good. Of the gap "
+        "without a name: above it the gap is unexplained. Of either drive: so much has to be common to both "
+        "for a name",
         CHOSEN + "; a force wrong by a fifth spoils any prediction",
     )
     sure_level: float = number(
-        1e-12, "1", "p value below which a name stands though a fixed baseline does not confirm it", CHOSEN
+        1e-12, "1", "p value below which a name stands although a fixed baseline does not confirm it", CHOSEN
     )
     rounds: int = number(
         4,
@@ -163,8 +165,8 @@ class SelectionRules:
     tie: float = number(
         1.0,
         "chi squared",
-        "cost, after variance inflation, up to which explanations tie: those of the same terms are one, and a "
-        "rival takes no term's place",
+        "difference of cost over the variance inflation up to which explanations tie: fits of the same "
+        "terms count as one, and a rival does not replace a term",
         JUDGEMENT + "what one parameter saves by chance",
     )
     beginnings: int = number(
@@ -173,24 +175,24 @@ class SelectionRules:
     level: float = number(
         0.01,
         "1",
-        "level of the tests of a name, after counting the terms tried, and of what is left without one",
+        "level of the tests of a name, after Bonferroni correction for the terms tried, and of the test of a remainder",
         JUDGEMENT + "a usual level",
     )
     form_error_share: float = number(
         0.10,
         "1",
-        "model-form error over the size of what makes it: prior deviation of a term's and of the shared "
-        "discrepancy's, least share of larger terms that is a term of its own, least uncertainty of a parameter "
-        "that acts through the tyres, by which a variant has to run better freely, and of the whole gap, from "
-        "which on a remainder is unexplained; its square is the share of a cost, which grows with the square of a "
-        "size",
+        "model-form error of a term or of the shared discrepancy, over its size: the standard deviation of "
+        "its prior. It is also the least share of larger terms that a further term must reach, and the "
+        "least relative error of a parameter that acts through the tyres. A variant must be better open "
+        "loop by this share. A larger share of the gap is unexplained. Its square is the share of a cost, "
+        "which grows with the square of a size",
         JUDGEMENT + "two curves stand for four tyres",
     )
     deviations: float = number(
         1.96,
         "standard deviations",
-        "that hold 95 %: of cars, between no effect and the largest that a car can have; of recordings of one "
-        "car, over what halves of the simulation differ by, and over what instruments drift by",
+        "standard deviations that hold 95 %: of the prior from no effect to the largest that a car can "
+        "have, of the difference between halves of the simulation, and of the drift of instruments",
         THEORY + "95 % of a normal deviate, two-sided",
     )
 
@@ -218,11 +220,11 @@ class Abstention:
     greater_part: float = number(
         0.5,
         "1",
-        "share from which on it is the greater part: of what the best explanation saves, for one that no real "
-        "car has to be a lead, and of what a term saves, for a rival to be fitted; of the track, for the interval "
-        "of a stretch's end to leave its place open; of how far noise carries an integral away, for a yaw to be "
-        "that integral; of what a car can have, for an effect of which a match tells where it would hide; of all "
-        "effects, that no drive would show, for a match to be none",
+        "share that counts as most. Of the best saving: a lead explains more. Of a saving: a rival that is "
+        "estimated to save less is not fitted. Of the track: the place of a wider interval is undetermined. "
+        "Of the drift of an integral: a yaw that stays nearer is that integral. Of a car's range: effects "
+        "of this size are asked for behind a match. Of all effects: if more would not show, a match is "
+        "undecided",
         JUDGEMENT + "a half",
     )
     most_leads: int = number(2, "leads", "leads that are reported", JUDGEMENT + "a list of more helps nobody")
@@ -238,24 +240,29 @@ class Allowances:
     """Differences too small to be called one: what any nominal model misses in one way of driving only."""
 
     term: float = number(
-        0.05, "effect-to-noise ratio", "size below which a term is not named, beside a simulation", CHOSEN
+        0.05,
+        "effect-to-noise ratio",
+        "effect-to-noise ratio below which a term is not named, beside a simulation",
+        CHOSEN,
     )
     unnamed: float = number(
         0.10,
         "effect-to-noise ratio",
-        "size below which a difference without a name is none, a term beside another of the car has no name, "
-        "nor any against the bare nominal model; twice that, from which on a remainder is unexplained whatever its "
-        "share, an effect that the names may hide is a lead, and in what a recording knows twice, a sensor's fault "
-        "is no model-form error",
+        "effect-to-noise ratio below which a difference without a name does not count. It is the same for a "
+        "term beside another one of the car, and for any term against the bare nominal model. Above twice "
+        "this, a remainder is unexplained whatever its share, a hidden effect is a lead, and a fault that "
+        "witnesses show is no model-form error",
         CHOSEN,
     )
     discrepancy_share: float = number(
-        0.03, "1", "share of the shared model discrepancy, by channel, that its dictionary misses", CHOSEN
+        0.03, "1", "share of the shared model discrepancy that its basis functions miss, in each channel", CHOSEN
     )
     structure_floor: float = number(
         1e-4, "1", "share of the discrepancy's cost that a flexible fit may save without a difference", CHOSEN
     )
-    term_floor: float = number(1e-5, "1", "the same for a single term", CHOSEN)
+    term_floor: float = number(
+        1e-5, "1", "share of the discrepancy's cost that a single term may save without a difference", CHOSEN
+    )
 
     @property
     def large(self) -> float:
@@ -270,20 +277,26 @@ class SelfTestRules:
     unnamed_margin: float = number(
         2.0,
         "1",
-        "by how much more reality has to show without a name: than the simulation, of structure or of a line's "
-        "amplitude; than chance, by each effective parameter of a flexible fit",
+        "factor by which a saving without a name, or the amplitude of a spectral line, must exceed that "
+        "between halves of the simulation. It is also the cost by chance of each effective parameter of a "
+        "flexible fit",
         JUDGEMENT + "reality may cover other ground than the second half did",
     )
     term_margin: float = number(
         1.5,
         "1",
-        "by how much more reality has to show of a term, or of residual autocorrelation; factor up to which "
-        "witnesses confirm a sensor's fault alone",
+        "factor by which the saving of a term, or residual autocorrelation, must exceed that between halves "
+        "of the simulation. Within this factor witnesses agree about the size of a fault",
         CHOSEN,
     )
-    kindred: float = number(0.33, "1", "share of the largest term's saving that any term may show", CHOSEN)
+    kindred: float = number(
+        0.33, "1", "share of the largest saving between halves of the simulation that is allowed for every term", CHOSEN
+    )
     blocks: int = number(
-        8, "blocks", "blocks of driving time at least that are dealt in turn", JUDGEMENT + "four to either side"
+        8,
+        "blocks",
+        "least number of blocks of driving time into which a simulation is split alternately",
+        JUDGEMENT + "four to either side",
     )
 
 
@@ -292,7 +305,10 @@ class Reporting:
     """What is said of a value, a place and a gap."""
 
     systematic: float = number(
-        0.03, "effect-to-noise ratio", "systematic error of a parameter: what one term may take of another", CHOSEN
+        0.03,
+        "effect-to-noise ratio",
+        "systematic error of a parameter, as an effect-to-noise ratio: what one term may absorb of another",
+        CHOSEN,
     )
     least_dependence: float = number(
         0.15, "1", "share of the gap that a variable explains from which on a region of it is reported", CHOSEN

@@ -8,7 +8,7 @@ CHOSEN = JUDGEMENT + "chosen while developing on cases of `split prove`, without
 
 #: Constants that do not decide on a difference, its name or its size, by kind and name. A group stands for all of its
 #: constants that no other kind names. Guards refuse a recording or leave rows out, effort bounds computing time, and
-#: telling chooses what a report says of a gap.
+#: "report" chooses what a report says of a gap.
 KINDS = {
     kind: tuple(names.split())
     for kind, names in {
@@ -19,7 +19,7 @@ KINDS = {
         "effort": """
             selection.few_names selection.full_fits selection.considered selection.rounds selection.swaps
             selection.beginnings""",
-        "telling": """
+        "report": """
             comparison.holdout_share abstention.most_leads reporting.least_dependence reporting.clearly_more
             reporting.local_gap reporting.local_ratio reporting.stable reporting.formula_terms reporting.much_slipping
             reporting.least_compared""",

@@ -77,7 +77,7 @@ class TestPlanted:
         assert p_value < 1e-6
         # Neighbours overlap, and what is added to v_y the model takes for slip.
         near = FREQUENCIES[max(k - 1, 0) : k + 2]
-        assert group in [f"swinging {frequency:.2g} times a second" for frequency in near]
+        assert group in [f"swinging at {frequency:.2g} Hz" for frequency in near]
 
     def test_noise_alone_is_none(self, drive):
         nothing = np.zeros(len(drive["vx"]))

@@ -42,7 +42,7 @@ def test_a_diagnosis_lists_every_number_once():
 
 #: Numbers of each kind at most. They only fall: who adds one takes one out, or says here why not. Five guards more
 #: are no new ones: `least_acceleration` to `fewest_rows` stood bare in the functions of `recording.screening`.
-MOST = {DECIDES: 36, "guards": 30, "effort": 6, "telling": 10}
+MOST = {DECIDES: 36, "guards": 30, "effort": 6, "report": 10}
 
 
 def test_numbers_of_every_kind_only_fall():

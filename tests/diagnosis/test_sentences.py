@@ -232,7 +232,7 @@ def test_held_out_time_without_the_gap_tells_nothing():
     assert (
         "The held-out data show too little of the gap to tell whether the identified effects would reduce it." in said
     )
-    assert not blind.tells and improvement().tells
+    assert not blind.shows_gap and improvement().shows_gap
 
 
 def test_what_persistence_predicts_better_is_told_with_its_mean_error():
@@ -358,10 +358,8 @@ def test_what_acts_in_a_part_is_told_with_its_interval_and_what_else_it_may_be()
 
 
 def test_a_remainder_that_swings_is_said_to_be_a_mass_on_a_spring():
-    swings = RemainderTest(
-        1e-9, 0.4, 0.5, (("swinging 0.7 times a second", 90.0), ("swinging 0.49 times a second", 30.0))
-    )
+    swings = RemainderTest(1e-9, 0.4, 0.5, (("swinging at 0.7 Hz", 90.0), ("swinging at 0.49 Hz", 30.0)))
     said = summarise("mismatch", (), True, None, swings)
-    assert any("as a mass on a spring does, swinging 0.7 times a second." in sentence for sentence in said)
+    assert any("as a mass on a spring does, swinging at 0.7 Hz." in sentence for sentence in said)
     other = summarise("mismatch", (), True, None, replace(swings, by_group=(("memory", 90.0),)))
     assert not any("mass on a spring" in sentence for sentence in other)

@@ -46,7 +46,7 @@ def test_a_line_over_time(drive):
     omega = 2.0 * np.pi * 13.0
     expected = 2.0 * 1.5 / omega * abs(np.sin(omega * 0.025)) / np.sqrt(2.0) / (np.sqrt(2.0) * SIGMA[0])
     assert line.effect_to_noise == pytest.approx(expected, rel=0.15)
-    assert line.in_words() == f"v_x' swings by {line.amplitude:.2g} m/s^2, 13 times a second"
+    assert line.in_words() == f"v_x' oscillates by {line.amplitude:.2g} m/s^2 at 13 Hz"
 
 
 def test_a_line_over_distance(drive):

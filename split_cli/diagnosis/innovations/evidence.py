@@ -22,7 +22,9 @@ from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
 ROW_SECONDS = 0.04
+"""Length of a row: transitions are summed over it [s]. Judgement: four samples at 100 Hz."""
 _TUNING_ROWS = 9000
+"""Samples from which the disturbance is estimated, at most [1]: 90 s at 100 Hz. Judgement: computing time."""
 _KEPT_BYTES = 2**27
 """Largest size of the discrepancy's columns that are kept between filters [bytes]; larger ones are computed for each.
 Judgement: 30,000 samples, well under the 1 GB of a diagnosis. It affects time and memory, and no result."""

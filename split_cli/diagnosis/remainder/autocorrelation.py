@@ -12,7 +12,7 @@ from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovaria
 from split_cli.diagnosis.policy import STANDARD, SelfTestRules
 from split_cli.diagnosis.remainder.structure import Structure
 
-_NEAR_ROWS = 4
+_NEAR_ROWS = 4  # first lags of rows, up to 0.16 s, whose mean autocovariance is the size of what lasts [1]; judgement
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from split_cli.vehicle.parameters import Vehicle
 
 #: Time constants of first-order lags [s], from those of servos to those of a body. Judgement.
 LAGS = (0.02, 0.06, 0.2, 0.7)
-_HARMONICS = 8
-_KNOTS = 9
+_HARMONICS = 8  # waves over the track, alone; half as many times slip angle [1]. Judgement.
+_KNOTS = 9  # knots of piecewise linear functions of time [1]. Judgement: eight parts of a drive.
 
 
 @dataclass(frozen=True)

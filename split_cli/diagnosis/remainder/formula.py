@@ -10,8 +10,8 @@ from split_cli.diagnosis.remainder.location import FORCES, variables
 from split_cli.diagnosis.statement.wording import percent
 
 _ROWS_APART = 5  # each fifth row of 0.04 s is used, since gap forces are averages over 0.2 s
-_SUBSAMPLES = 20
-_BLOCK_SECONDS = 4.0
+_SUBSAMPLES = 20  # draws of half the blocks [1]; judgement: a share of 0.7 to 0.1
+_BLOCK_SECONDS = 4.0  # length of blocks of time that are drawn [s]; judgement: longer than transients
 
 
 def sparse_formula(

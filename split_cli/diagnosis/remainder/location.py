@@ -10,10 +10,10 @@ from split_cli.diagnosis.policy import STANDARD, Reporting
 from split_cli.diagnosis.statement.result import GapSeries, Location, Place
 from split_cli.vehicle.effects import Term
 
-_AVERAGE_SECONDS = 0.2
+_AVERAGE_SECONDS = 0.2  # over which gap forces are averaged [s]; judgement: short against a turn, long against noise
 _ALIKE = 5  # successive rows of 0.04 s that overlap, since each is an average over 0.2 s [1]
-_STEPS = (8, 16, 40)
-_FOLDS = 5
+_STEPS = (8, 16, 40)  # bins of a step function that are tried [1]; judgement
+_FOLDS = 5  # parts of the blocks of time, each judged by the others [1]
 FORCES = ("longitudinal", "front_lateral", "rear_lateral")
 
 

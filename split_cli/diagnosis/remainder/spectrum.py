@@ -49,8 +49,8 @@ class Line:
     def in_words(self) -> str:
         """Return the oscillating rate, its amplitude and its frequency or wavelength, in words."""
         unit = "rad/s^2" if self.channel == "r" else "m/s^2"
-        often = f"{self.frequency:.3g} times a second" if self.over == "time" else f"every {1 / self.frequency:.3g} m"
-        return f"{self.channel}' swings by {self.amplitude:.2g} {unit}, {often}"
+        often = f"at {self.frequency:.3g} Hz" if self.over == "time" else f"every {1 / self.frequency:.3g} m"
+        return f"{self.channel}' oscillates by {self.amplitude:.2g} {unit} {often}"
 
 
 def strongest_line(

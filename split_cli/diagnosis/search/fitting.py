@@ -200,7 +200,7 @@ def _fit(
         residuals = objective.whiten(here)
         return float(residuals @ residuals) + float(precision @ (x - mean) ** 2), (here, residuals)
 
-    def slopes_of(jacobian: np.ndarray, x: np.ndarray, state: tuple, missed: float = 0.0) -> Slopes:
+    def slopes_at(jacobian: np.ndarray, x: np.ndarray, state: tuple, missed: float = 0.0) -> Slopes:
         slope = jacobian.T @ state[1] + precision * (x - mean)
         # The error of derivatives is projected on the part of the residuals that is more than noise.
         beyond = max(float(state[1] @ state[1]) - len(state[1]), 1.0)
@@ -209,18 +209,18 @@ def _fit(
     def linearise(x: np.ndarray, state: tuple, shared: Mapping[int, np.ndarray] = MappingProxyType({})) -> Slopes:
         here, _ = state
         if len(x) and not shared:
-            return slopes_of(objective.whiten(_slopes(objective, terms_at, here, x, upper, range(len(x)))), x, state)
+            return slopes_at(objective.whiten(_slopes(objective, terms_at, here, x, upper, range(len(x)))), x, state)
         jacobian = np.empty((len(here), len(x)))
         for p, column in shared.items():
             jacobian[:, p] = column
         own = [p for p in range(len(x)) if p not in shared]
         if own:
             jacobian[:, own] = objective.whiten(_slopes(objective, terms_at, here, x, upper, own))
-        return slopes_of(jacobian, x, state)
+        return slopes_at(jacobian, x, state)
 
     def update(slopes: Slopes, before: tuple[np.ndarray, tuple], after: tuple[np.ndarray, tuple]) -> Slopes | None:
         jacobian, missed = _broyden_update(slopes, after[0] - before[0], after[1][1] - before[1][1])
-        return slopes_of(jacobian, *after, missed) if missed < _MOST_UPDATE_ERROR else None
+        return slopes_at(jacobian, *after, missed) if missed < _MOST_UPDATE_ERROR else None
 
     first, placed = evaluate(x), any(part.candidate.located for part in parts)
     shared = _shared_slopes(parts, slopes_of, tangents, steps)

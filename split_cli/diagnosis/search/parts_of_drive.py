@@ -180,7 +180,7 @@ def strongest_part(
 
 
 def _sizes(linear: Tangent) -> list[int]:
-    """Return the numbers of a linear's parameters that have a neutral value."""
+    """Return the numbers of a tangent's parameters that have a neutral value."""
     neutral = CATALOGUE[linear.part.candidate.term].neutral
     return [k for k, name in enumerate(linear.part.values) if neutral.get(name) is not None]
 
@@ -241,7 +241,7 @@ def _reading(one: Candidate, name: str, value: float, error: float, deviations: 
 
 
 def _has_witnesses(objective: MarginalLikelihood, linear: Tangent) -> bool:
-    """Return whether a linear is a sensor fault that changes witnesses.
+    """Return whether a term is a sensor fault that changes witnesses.
 
     Parts of a drive are tested without witnesses. There model-form error may look like a late channel, which witnesses
     would deny.

@@ -32,8 +32,8 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.parts_of_drive import most_saved
 from split_cli.vehicle.effects import CATALOGUE
 
-_BINS = 40
-_WAVES = 12
+_BINS = 40  # parts of a lap that form stretches [1]; judgement, the search itself takes 50
+_WAVES = 12  # harmonics of a lap that are tried [1], as in the search
 
 
 @dataclass(frozen=True)

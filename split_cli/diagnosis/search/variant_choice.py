@@ -17,7 +17,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, with_chosen
 
-_TINY = 1e-30
+_TINY = 1e-30  # least mean squared error, so that its logarithm is finite
 
 
 def with_variants_by_rollout(

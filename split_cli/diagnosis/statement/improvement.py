@@ -160,7 +160,7 @@ class Improvement:
     trust: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
-    def tells(self) -> bool:
+    def shows_gap(self) -> bool:
         """Whether held-out time shows the gap at all; an effect at one place may lie outside it."""
         shown = [b / max(n, 1e-12) for one in self.rollouts for b, n in zip(one.before, one.noise_floor, strict=True)]
         return any(self.removed.values()) or max(shown, default=0.0) > _SHOWS

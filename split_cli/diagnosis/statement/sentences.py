@@ -17,10 +17,10 @@ _KINDS = {
 }
 Parameters = Mapping[str, ParameterEstimate]
 _STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))
-_WORTH_A_WORD = 0.2  # of the gap, that neither a finding nor the unexplained part accounts for
-_CLEARLY = 0.02  # share of the gap from which on it is said to go with a variable
+_WORTH_A_WORD = 0.2  # of the gap, that neither a finding nor the unexplained part accounts for [1]; judgement
+_CLEARLY = 0.02  # share of the gap from which on it is said to go with a variable [1]; judgement
 _MUCH_OF_ERROR = 0.2  # share of the mean in a squared error, from which on it is stated [1]; judgement
-_STANDS_FOR = 0.4  # of what place explains, from which on another variable is named in its stead
+_STANDS_FOR = 0.4  # of what place explains, from which on another variable is named in its stead [1]; judgement
 
 
 def sentence_for(
@@ -296,7 +296,7 @@ def summarise(
 def _where(location: Location) -> list[str]:
     force = max(location.forces, key=location.forces.get)
     sentences = [f"The gap is mostly {force.replace('_', ' ')} force ({percent(location.forces[force])})."]
-    name, score = _tells_most(location)
+    name, score = _variable_to_name(location)
     if score > _CLEARLY:
         words = variable_name(name)[0]
         sentences.append(f"{words[:1].upper()}{words[1:]} alone explains {percent(score)} of the gap.")
@@ -315,7 +315,7 @@ def _where(location: Location) -> list[str]:
     return sentences
 
 
-def _tells_most(location: Location) -> tuple[str, float]:
+def _variable_to_name(location: Location) -> tuple[str, float]:
     """Return the variable to name: on a lap that repeats itself, place stands for all the others."""
     best = location.depends_on[0] if location.depends_on else ("", 0.0)
     others = [pair for pair in location.depends_on if pair[0] not in ("s", "t")]
@@ -326,7 +326,7 @@ def _tells_most(location: Location) -> tuple[str, float]:
 
 def _help(improvement: Improvement, stage: str, vehicle: Vehicle | None = None) -> list[str]:
     model = "the identified effects" if stage == "physics" else "a correction learned by SPLIT alone"
-    if not improvement.tells:
+    if not improvement.shows_gap:
         return [f"The held-out data show too little of the gap to tell whether {model} would reduce it."]
     removed, intro, parts = improvement.removed.get(stage), f"With {model}, on held-out data", []
     nothing = stage in improvement.trust and not any(improvement.trust[stage])

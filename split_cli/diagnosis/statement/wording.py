@@ -46,7 +46,7 @@ def term_with_id(term: str) -> str:
 
 def swinging_in_words(frequency: float) -> str:
     """Return what oscillators of a natural frequency [Hz] are called among functions without a name."""
-    return f"{_SWINGING} {frequency:.2g} times a second"
+    return f"{_SWINGING} at {frequency:.2g} Hz"
 
 
 def is_swinging(kind: str) -> bool:

@@ -29,7 +29,7 @@ from split_cli.diagnosis.verdict.learned_correction import learn_correction, wit
 from split_cli.diagnosis.verdict.simulation_part import chosen_simulation_parts, part_of
 from split_cli.vehicle.effects import Term
 
-_BOOTSTRAPS = 400
+_BOOTSTRAPS = 400  # draws of blocks [1]; judgement: ten draws lie beyond each end of a 95 % interval
 _MOSTLY = 0.9  # share of draws with an error above the noise floor that an interval of a share needs [1]
 
 

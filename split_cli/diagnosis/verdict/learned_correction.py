@@ -13,8 +13,8 @@ from split_cli.learning.hyperparameters import default_kernel, scatter_variance
 from split_cli.learning.region import z2_grid
 from split_cli.prediction import make_predictor
 
-_FEWEST_TO_LEARN = 100
-_FOLDS = 4
+_FEWEST_TO_LEARN = 100  # accepted labels [1]; judgement: 5 s of driving
+_FOLDS = 4  # parts of the training time that are predicted from the others [1]
 _STARTS = 120  # starts of rollouts in each recording
 _SHARES = (1.0, 0.5, 0.0)  # of the trust from labels; the largest is kept with which no rollout gets worse
 # Outputs whose trust is reduced together: v_y and r are coupled within a tenth of a second.

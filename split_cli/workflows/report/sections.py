@@ -146,7 +146,7 @@ def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
         of_one = f" ({finding_headline(largest)})" if len(diagnosis.findings) > 1 else ""
         note = f"sensor noise over 0.05 s{of_one}"
         yield "Effect size", f"{number(largest.effect_to_noise, 2)} ×", note
-    if diagnosis.improvement is not None and diagnosis.improvement.tells and diagnosis.findings:
+    if diagnosis.improvement is not None and diagnosis.improvement.shows_gap and diagnosis.findings:
         yield from _facts_of_help(diagnosis.improvement)
     if diagnosis.remainder is not None:
         rest = scatter(diagnosis.remainder, diagnosis.findings)
@@ -247,7 +247,7 @@ def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
     blocks = improvement.confidence.get("blocks")
     how = f" Intervals: 95 %, bootstrap over {blocks} blocks of time." if blocks else ""
     stages = [one for one in _STAGES if diagnosis.findings or one[0] not in ("physics", "after")]
-    if not improvement.tells:
+    if not improvement.shows_gap:
         how += " These data show too little of the gap to judge. Give a drive that shows it with --holdout."
     below = [
         symbol
