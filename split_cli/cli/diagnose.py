@@ -75,7 +75,7 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, held, eng
     Without --sim the nominal model of the vehicle file serves as the simulation. The improvement is measured on
     real driving that is held out: the drives of --holdout, or else the last quarter of the real drives.
 
-    With --engine dask, a cluster takes over fits of the search, self-tests and the smallest detectable effects.
+    With --engine dask, a cluster computes fits of the search, self-tests and detection limits.
 
     \b
     Example:

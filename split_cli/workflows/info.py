@@ -1,7 +1,7 @@
 """Describe a file: its kind, and what is in it."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.errors import SplitError, reason_of
 from split_cli.files import parse_json, refuse_no_regular_file
+from split_cli.vehicle.parameters import EffectSpec
 from split_cli.workflows.page_facts import describe_folder, describe_page
 from split_cli.workflows.sources import LOG_SUFFIXES, SourceFile, find_sources, typed_address
 
@@ -91,8 +92,14 @@ def describe_file(path: str | Path) -> FileDescription:
     return _recording(path)
 
 
-def _numbers(parameters: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
+def _found_in_training(effect: EffectSpec) -> tuple[str, str]:
+    """Return an effect that a set has beyond its vehicle file, with values and units."""
+    from split_cli.vehicle.effects import CATALOGUE
+
+    units = CATALOGUE[effect.term].parameter_units(effect.variant)
+    values = (f"{name} {value:.4g} {units[name]}".removesuffix(" 1") for name, value in effect.parameters.items())
+    variant = f", variant {effect.variant}" if effect.variant else ""
+    return f"found in training: {effect.term}{variant}", ", ".join(values)
 
 
 def _trained_set(path: Path) -> FileDescription:
@@ -119,7 +126,7 @@ def _trained_set(path: Path) -> FileDescription:
         ("trust", trained.trust.words()),
         *([("intervals", _ONE_DRIVE)] if lone else []),
         *([("intervals hold", _NEAR_POINTS)] if trained.trust.origin == "held-out" else []),
-        *((f"found beyond the file: {effect.label}", _numbers(effect.parameters)) for effect in trained.found),
+        *(_found_in_training(effect) for effect in trained.found),
         *(("cannot say", text) for text in limits_of(trained)),
         ("length scales", f"{_named(trained.features.names, kernel.length_scales)} ({kernel.origin})"),
         ("signal deviation", _named(_LABELS, np.sqrt(kernel.signal_variance))),

@@ -93,7 +93,7 @@ def test_training_puts_the_lag_into_the_set_and_says_so(late, tmp_path):
     assert made.nominal_vehicle.digest() == road_car().digest()
     assert made.found[0].variant == "learned"  # a set of an older version has a lag that acts everywhere
     described = dict(describe_file(tmp_path / "car.split").facts)
-    assert described["found beyond the file: steer_lag (learned)"] == f"tau {made.found[0].parameters['tau']:.4g}"
+    assert described["found in training: steer_lag, variant learned"] == f"tau {made.found[0].parameters['tau']:.4g} s"
     (note,) = lag_notes(made)
     assert "steering follows its command 0.0" in note and note in result.notes and note in reservations(made)
 
