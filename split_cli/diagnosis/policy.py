@@ -2,8 +2,7 @@
 
 One immutable `Policy` is passed to all packages. Constants of numerical resolution stand beside their algorithm. The
 origin of a constant is ``theory`` (it follows from a formula or definition), ``study`` (a command of this project
-measured it) or ``judgement`` (it was chosen, and no better value has been measured). `policy_numbers.KINDS` separates
-constants that decide from guards, limits of computing time, and choices of the report.
+measured it) or ``judgement`` (it was chosen, and no better value has been measured).
 """
 
 from __future__ import annotations

@@ -9,7 +9,29 @@ from pathlib import Path
 import pytest
 
 from split_cli.diagnosis.policy import STANDARD, deciding_numbers
-from split_cli.diagnosis.policy_numbers import DECIDES, KINDS, kind_of
+
+#: Constants that do not decide on a difference, its name or its size, by kind and name. A group stands for all of its
+#: constants that no other kind names. Guards refuse a recording or leave rows out, effort bounds computing time, and
+#: "report" chooses what a report says of a gap.
+KINDS = {
+    kind: tuple(names.split())
+    for kind, names in {
+        "guards": """
+            screening comparison.least_rows comparison.least_share believing.rolling_share believing.lost_share
+            believing.rolling_seconds believing.least_rolling believing.cycling_seconds believing.cycling_share
+            unnamed.fewest""",
+        "effort": """
+            selection.few_names selection.full_fits selection.considered selection.rounds selection.swaps
+            selection.beginnings""",
+        "report": """
+            comparison.holdout_share abstention.most_leads reporting.least_dependence reporting.clearly_more
+            reporting.local_gap reporting.local_ratio reporting.stable reporting.formula_terms reporting.much_slipping
+            reporting.least_compared""",
+    }.items()
+}
+DECIDES = "decides"
+# A sensor out of scale is a difference, whatever the drives show otherwise.
+_SCALES = ("screening.least_scale_error", "screening.sure_scale_error")
 
 ROOT = Path(__file__).resolve().parents[2] / "split_cli" / "diagnosis"
 
@@ -38,6 +60,14 @@ def test_a_diagnosis_lists_every_number_once():
     described = STANDARD.described()
     assert len(described) == len(names) and described["level"] == STANDARD.comparison.level
     assert described["selection_price"] == STANDARD.selection.price
+
+
+def kind_of(name: str) -> str:
+    """Return the kind of a constant by its name `group.number`: a key of `KINDS`, or `DECIDES`."""
+    if name in _SCALES:
+        return DECIDES
+    group = name.partition(".")[0]
+    return next((kind for kind, names in KINDS.items() if name in names or group in names), DECIDES)
 
 
 #: Numbers of each kind at most. They only fall: who adds one takes one out, or says here why not. Five guards more
@@ -70,13 +100,13 @@ def test_every_number_is_read_somewhere():
 # Numbers that stand beside their algorithm: how finely something is computed, told or averaged, or how long a
 # search may take. A new name here is a decision to be looked at; what decides belongs into the policy.
 BESIDE_THEIR_ALGORITHM = {
-    "baseline/_functions_numba.py": {"_AT_ONCE"},
-    "baseline/discrepancy.py": {"_SMOOTH_DEVIATION", "_AT_ONCE"},
+    "baseline/_functions_numba.py": {"_SAMPLES_AT_A_TIME"},
+    "baseline/discrepancy.py": {"_SMOOTH_DEVIATION", "_COLUMNS_AT_A_TIME"},
     "innovations/autocovariance.py": {"LAG_ROWS"},
     "innovations/case.py": {"_MOST_PASSES", "_SETTLED"},
     "innovations/evidence.py": {"ROW_SECONDS", "_TUNING_ROWS", "_KEPT_BYTES"},
-    "innovations/linearisation.py": {"_AT_ONCE"},
-    "innovations/objective.py": {"_BLOCK_SECONDS", "_FILTERED_AT_ONCE", "_LEAST_INFORMED", "_REMEMBERED", "_SHIFTS"},
+    "innovations/linearisation.py": {"_UNRESOLVED"},
+    "innovations/objective.py": {"_BLOCK_SECONDS", "_LISTS_AT_A_TIME", "_LEAST_INFORMED", "_REMEMBERED", "_SHIFTS"},
     "innovations/projection.py": {"_FEW"},
     "innovations/rollouts.py": {"_STEP_SECONDS", "_MOST_STARTS", "_FEWEST_STARTS"},
     "innovations/effect_to_noise.py": {"_HORIZON", "_ROWS_AT_A_TIME"},
