@@ -16,6 +16,8 @@ from split_cli.vehicle.parameters import Vehicle
 
 #: Time constants of first-order lags [s], from those of servos to those of a body. Judgement.
 LAGS = (0.02, 0.06, 0.2, 0.7)
+#: Time constants of heating and cooling [s], from those of a tread to those of a brake disc. Judgement.
+HEAT_SECONDS = (2.0, 6.0, 20.0)
 _HARMONICS = 8  # waves over the track, alone; half as many times slip angle [1]. Judgement.
 _KNOTS = 9  # knots of piecewise linear functions of time [1]. Judgement: eight parts of a drive.
 
@@ -79,7 +81,7 @@ def _memory(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
         along.append(late_torque)
         front.append(late_delta)
         rear.append(first_order_response(b, 1.0 / tau, clock) - b)
-    for tau in (2.0, 6.0, 20.0):
+    for tau in HEAT_SECONDS:
         work = first_order_response(np.abs(c) * v, 1.0 / tau, clock)
         brake = first_order_response(np.maximum(-c, 0.0) * v, 1.0 / tau, clock)
         slide = first_order_response(a * a + b * b, 1.0 / tau, clock)

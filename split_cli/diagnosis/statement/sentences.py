@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, HorizonErrors, Improvement, StateChange
 from split_cli.diagnosis.statement.result import Combination, Finding, Location, ParameterEstimate, RemainderTest
 from split_cli.diagnosis.statement.separation import separation
-from split_cli.diagnosis.statement.wording import is_swinging, number, percent, term_with_id, variable_name
+from split_cli.diagnosis.statement.wording import STATES, is_swinging, number, percent, term_with_id, variable_name
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
@@ -16,7 +16,6 @@ _KINDS = {
     "operating point": "the operating point",
 }
 Parameters = Mapping[str, ParameterEstimate]
-_STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))
 _WORTH_A_WORD = 0.2  # of the gap, that neither a finding nor the unexplained part accounts for [1]; judgement
 _CLEARLY = 0.02  # share of the gap from which on it is said to go with a variable [1]; judgement
 _MUCH_OF_ERROR = 0.2  # share of the mean in a squared error, from which on it is stated [1]; judgement
@@ -350,7 +349,7 @@ def _as_it_is(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -
     """Return the errors of all velocities where a stage changes none."""
     errors = [
         f"{number(getattr(last, stage)[k], 2)} {unit} in {name} (persistence: {number(last.persistence[k], 2)})"
-        for k, (name, unit) in enumerate(_STATES)
+        for k, (name, unit) in enumerate(STATES)
     ]
     *most, final = errors
     text = f"After {last.horizon:g} s of open-loop simulation the error is {', '.join(most)} and {final}."
@@ -364,7 +363,7 @@ def _offsets(last: HorizonErrors, stage: str, channels: Sequence[int], vehicle: 
         share = last.mean_share(stage, k)
         if share is None or share < _MUCH_OF_ERROR:
             continue
-        (name, unit), mean = _STATES[k], last.mean[stage][k]
+        (name, unit), mean = STATES[k], last.mean[stage][k]
         text = f"The mean error of {name} is {number(mean, 2)} {unit}, {percent(share)} of the squared error"
         if k == 0 and vehicle is not None:
             force = number(abs(mean) * vehicle.mass / last.horizon, 2)
@@ -376,7 +375,7 @@ def _offsets(last: HorizonErrors, stage: str, channels: Sequence[int], vehicle: 
 def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -> list[str]:
     """Return what becomes of the error that a stage changes most, and which errors get worse."""
     k = last.most_changed(stage)
-    name, unit = _STATES[k]
+    name, unit = STATES[k]
     before, after, held, floor = (
         number(getattr(last, key)[k], 2) for key in ("before", stage, "persistence", "noise_floor")
     )
@@ -386,13 +385,13 @@ def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) 
     )
     beaten = last.beaten_by_persistence(stage)
     others = [
-        f"The error of {_STATES[i][0]} rises from "
-        f"{' to '.join(_apart(last.before[i], getattr(last, stage)[i]))} {_STATES[i][1]}"
+        f"The error of {STATES[i][0]} rises from "
+        f"{' to '.join(_apart(last.before[i], getattr(last, stage)[i]))} {STATES[i][1]}"
         for i in last.worse(stage)
         if i != k
     ]
     if beaten:
-        names = " and ".join(_STATES[i][0] for i in beaten)
+        names = " and ".join(STATES[i][0] for i in beaten)
         others.append(f"Persistence still predicts {names} better")
     doubtful = sorted({*beaten, *last.worse(stage)})
     return [*(f"{one}." for one in (text, *others)), *_offsets(last, stage, doubtful, vehicle)]
@@ -401,7 +400,7 @@ def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) 
 def _beside_split(last: HorizonErrors) -> list[str]:
     """Return which errors a correction learned beside the effects makes worse than these alone do."""
     worse = [
-        f"{_STATES[k][0]} ({' instead of '.join(_apart(last.after[k], last.physics[k]))} {_STATES[k][1]})"
+        f"{STATES[k][0]} ({' instead of '.join(_apart(last.after[k], last.physics[k]))} {STATES[k][1]})"
         for k in last.worse_with_split()
     ]
     text = f"A correction learned by SPLIT beside them makes it worse in {_listed(worse)}: use the effects alone."

@@ -3,6 +3,7 @@
 from split_cli.vehicle.effects.wording import amount, number, percent
 
 __all__ = [
+    "STATES",
     "amount",
     "is_swinging",
     "number",
@@ -13,6 +14,8 @@ __all__ = [
     "variable_name",
 ]
 
+#: The velocities and their units, in the order of columns.
+STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))
 _SWINGING = "swinging"
 
 _VARIABLES = {

@@ -17,6 +17,7 @@ import numpy as np
 from split_cli.diagnosis.baseline.discrepancy import scaled_features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.remainder.flexible import HEAT_SECONDS
 from split_cli.diagnosis.remainder.structure import minimum_effect_p
 from split_cli.diagnosis.search.fitting import Fit, Part, raw_slopes, sensitivity_of
 from split_cli.diagnosis.search.form_error import form_error_columns
@@ -24,7 +25,6 @@ from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import first_order_response
 
 _WAVES = 4  # half waves over a recording
-_HEAT_SECONDS = (2.0, 6.0, 20.0)  # time constants of heating and cooling, those of the flexible fit
 _FREE = 1e6  # prior variance of the parameters' own changes, in units of noise: next to free
 
 
@@ -173,7 +173,7 @@ def _variables_of(one: Evidence) -> dict[str, np.ndarray]:
     powers = {"sliding": a * a + b * b, "work": np.abs(torque) * speed, "braking": np.maximum(-torque, 0.0) * speed}
 
     def heats(power: np.ndarray) -> np.ndarray:
-        warm = [first_order_response(power, 1.0 / tau, series.recording) for tau in _HEAT_SECONDS]
+        warm = [first_order_response(power, 1.0 / tau, series.recording) for tau in HEAT_SECONDS]
         return np.stack([one / max(float(np.quantile(np.abs(one), 0.98)), 1e-9) for one in warm], axis=1)
 
     functions = {

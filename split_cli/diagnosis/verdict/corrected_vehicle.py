@@ -7,11 +7,11 @@ import numpy as np
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors, Stage, roll_out_stages
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, StateChange
+from split_cli.diagnosis.statement.wording import STATES
 from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, blocks_of_time, in_standard_errors
 from split_cli.vehicle.effects import Term
 
 _STEP = 0.05  # [s]
-_STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))
 
 
 def judge_corrected(
@@ -74,5 +74,5 @@ def _states_at(runs: Sequence[RolloutErrors], k: int) -> list[StateChange]:
             float(floor[i]),
             float(change[i]),
         )
-        for i, (channel, unit) in enumerate(_STATES)
+        for i, (channel, unit) in enumerate(STATES)
     ]
