@@ -98,9 +98,9 @@ def identifiable(
 
     Each candidate states what it needs, see `Term.needs`. The needs that the recordings lack are collected here:
 
-    - Places need position, since distance travelled is equivalent to time; wind needs position and yaw. - Longitudinal
-    effects need a torque that was not derived from the motion, some of them one that changes. A wrong map
-      of pedals, as with a slipping clutch, looks like a climbing road.
+    - Places need position, since distance travelled is equivalent to time; wind needs position and yaw.
+    - Longitudinal effects need a torque that was not derived from the motion, some of them one that changes. A wrong
+      map of pedals, as with a slipping clutch, looks like a climbing road.
     - Velocity sensors, and effects that tilt a_y, need a lateral velocity that was not integrated from a_y.
     - Grip that scales the stiffness too needs hard turns; in gentle ones it equals a stiffness.
     - Velocities derived from position have no sensor faults against position, in a simulation too.
