@@ -73,19 +73,20 @@ def search_forward(
     nuisances : int
         Number of its parts that are nuisance terms.
     """
-    objective, rules, variance_inflation = explore.objective, explore.rules, explore.variance_inflation
+    rules = explore.rules
     chosen, history, first_p, refused = base if begun is None else begun, [], 1.0, None
-    # State before a term was kept that saves in a few moments only: fit, nuisances, length of history, that term's fit.
-    alone: tuple[Fit, int, int, Fit] | None = None
+    # State before a term was kept tentatively that saves in a few moments only: fit, nuisances, length of history, and
+    # that term's fit.
+    tentative: tuple[Fit, int, int, Fit] | None = None
 
     def price_saved(fit: Fit) -> float:
         return explore.price(chosen) - explore.price(fit)
 
-    def worth_it(fits: Sequence[Fit]) -> list[Fit]:
+    def that_save(fits: Sequence[Fit]) -> list[Fit]:
         return [fit for fit in fits if price_saved(fit) > 0.0 and not leaves_car_range(chosen, fit)]
 
     while True:
-        fits = worth_it(first if chosen is base else explore(chosen))
+        fits = that_save(first if chosen is base else explore(chosen))
         if not fits:
             break
         best = fits[0]
@@ -93,7 +94,7 @@ def search_forward(
         if len(chosen.parts) > nuisances:
             best, reason = _first_accepted(explore, chosen, fits[: rules.considered])
             if best is None:
-                beyond = worth_it(explore.beyond_form_error(chosen))
+                beyond = that_save(explore.beyond_form_error(chosen))
                 best, _ = _first_accepted(explore, chosen, beyond[: rules.considered])
             both = hidden_pair(explore, chosen, best)
             if both is not None:
@@ -101,13 +102,13 @@ def search_forward(
                 history.append(f"added {labels}, which hide each other, saves {price_saved(both):.0f}")
                 chosen, dropped = _prune(explore, both)
                 history += dropped
-                alone = None
+                tentative = None
                 continue
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
             if reason == _FEW_MOMENTS and nuisances < rules.most_nuisances:
                 # A missing effect may disturb its saving block by block, so that it is tried as a nuisance term first.
-                alone = alone or (chosen, nuisances, len(history), fits[0])
+                tentative = tentative or (chosen, nuisances, len(history), fits[0])
                 history.append(f"{label} saves {saved:.0f}, {reason}")
                 chosen, nuisances = fits[0], nuisances + 1
                 continue
@@ -115,36 +116,51 @@ def search_forward(
             refused = fits[0]
             break
         label, saved = best.parts[-1].candidate.label, price_saved(best)
-        p_value = term_p(objective, best, len(best.parts) - 1, chosen.cost - best.cost, variance_inflation)
-        witnessed = witnessed_p(objective, best, len(best.parts) - 1, chosen, rules)
-        p_value = min(p_value, witnessed) * len(explore.candidates)
-        last = best.parts[-1]
-        small = p_value >= rules.level or last.is_within_tolerance
-        small |= witnessed > p_value and not exceeds_simulation_scatter(
-            objective, last.candidate, chosen.cost - best.cost
-        )
-        spread = witnessed <= p_value or is_spread(objective, best, len(best.parts) - 1, chosen, rules)
+        p_value, small, spread = _significance(explore, chosen, best)
         # The p value of a sensor error within tolerance says nothing of other terms.
         first_p = min(first_p, p_value if spread and not (small and p_value < rules.level) else 1.0)
         if small or not spread:
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _FEW_MOMENTS}")
             nuisances += 1
             # Sensor errors within tolerance do not count towards the limit of nuisance terms.
-            guesses = nuisances - sum(part.is_within_tolerance for part in best.parts)
-            if guesses > rules.most_nuisances:
+            counted = nuisances - sum(part.is_within_tolerance for part in best.parts)
+            if counted > rules.most_nuisances:
                 break
             chosen = best
             continue
         history.append(f"added {label}, saves {saved:.0f}")
         chosen, dropped = _prune(explore, best)
         history += dropped
-        alone = None
-    if alone is not None:
-        chosen, nuisances, begun_at, refused = alone
+        tentative = None
+    if tentative is not None:
+        chosen, nuisances, begun_at, refused = tentative
         label, saved = refused.parts[-1].candidate.label, price_saved(refused)
         history[begun_at:] = [f"{label} would save {saved:.0f}, {_FEW_MOMENTS}"]
     names = len(chosen.parts) - nuisances
     return ForwardResult(chosen, refused or chosen, names, tuple(history), first_p)
+
+
+def _significance(explore: Explorer, chosen: Fit, further: Fit) -> tuple[float, bool, bool]:
+    """Return the p value of the last term of `further` beside `chosen`, and two verdicts on it.
+
+    Returns
+    -------
+    p_value : float
+        Corrected for the number of candidates (Bonferroni).
+    small : bool
+        Whether the term is too small to name.
+    spread : bool
+        Whether it saves in more than a few moments.
+    """
+    objective, rules, part = explore.objective, explore.rules, further.parts[-1]
+    last, saved = len(further.parts) - 1, chosen.cost - further.cost
+    witnessed = witnessed_p(objective, further, last, chosen, rules)
+    p_value = min(term_p(objective, further, last, saved, explore.variance_inflation), witnessed)
+    p_value *= len(explore.candidates)
+    small = p_value >= rules.level or part.is_within_tolerance
+    small |= witnessed > p_value and not exceeds_simulation_scatter(objective, part.candidate, saved)
+    spread = witnessed <= p_value or is_spread(objective, further, last, chosen, rules)
+    return p_value, small, spread
 
 
 def other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> list[Fit]:
