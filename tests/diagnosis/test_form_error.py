@@ -78,7 +78,7 @@ def test_products_summed_over_stretches_are_those_of_whole_columns(behind, delay
     taught = replace(behind, basis=open_to, root=1.0 / (1.0 + np.sqrt(1.0 - seen)))
     parts, residuals = [(delay.terms, 0), (lag.terms, 0)], np.stack([delay.residuals, lag.residuals], axis=1)
     whole = module._columns(taught, parts)
-    assert len(taught.evidence[0].at) > 2 * module._ROWS_AT_ONCE
+    assert len(taught.evidence[0].at) > 2 * module._ROWS_AT_A_TIME
     told = module._products(taught, parts, residuals)
     for here, there in zip(told, (whole.T @ whole, whole.T @ residuals), strict=True):
         assert here == pytest.approx(there, rel=1e-9, abs=1e-9 * np.abs(there).max())

@@ -58,7 +58,7 @@ def test_a_line_over_distance(drive):
     # two thirds of its amplitude at least.
     assert 1.0 / line.frequency == pytest.approx(1.9, rel=0.005)
     assert 0.6 * 0.5 < line.amplitude < 1.1 * 0.5
-    assert "rad/s^2, every 1.9 m" in line.in_words()
+    assert "rad/s^2 every 1.9 m" in line.in_words()
 
 
 def test_a_line_that_the_simulation_shows_too_is_common(drive):
