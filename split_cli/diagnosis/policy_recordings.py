@@ -105,6 +105,12 @@ class Believing:
     cycling_share: float = number(
         0.8, "1", "share of the peak force by which a slip control goes back and forth", CHOSEN
     )
+    settling: float = number(
+        3.0,
+        "time constants",
+        "begin of a stretch that is not compared, since nothing recorded shows where its actuators and tyres began",
+        JUDGEMENT + "5 % of what is unknown is left",
+    )
     least_noise: float = number(
         1e-3,
         "1",

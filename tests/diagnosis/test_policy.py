@@ -19,7 +19,7 @@ KINDS = {
         "guards": """
             screening comparison.least_rows comparison.least_share believing.rolling_share believing.lost_share
             believing.rolling_seconds believing.least_rolling believing.cycling_seconds believing.cycling_share
-            unnamed.fewest""",
+            believing.settling unnamed.fewest""",
         "effort": """
             selection.few_names selection.full_fits selection.considered selection.rounds selection.swaps
             selection.beginnings""",
@@ -72,7 +72,8 @@ def kind_of(name: str) -> str:
 
 #: Numbers of each kind at most. They only fall: who adds one takes one out, or says here why not. Five guards more
 #: are no new ones: `least_acceleration` to `fewest_rows` stood bare in the functions of `recording.screening`.
-MOST = {DECIDES: 36, "guards": 30, "effort": 6, "report": 10}
+#: `settling` leaves out the begin of a stretch, which was compared before as if nothing had gone on until then.
+MOST = {DECIDES: 36, "guards": 31, "effort": 6, "report": 10}
 
 
 def test_numbers_of_every_kind_only_fall():

@@ -1,5 +1,7 @@
 """Lags and combined slip that simulation and reality share: found on the simulation, and a yaw inertia beside."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.evidence import gather_evidence
 from split_cli.diagnosis.innovations.objective import build_objective, learn_discrepancy
 from split_cli.diagnosis.innovations.shared_terms import shared_terms_of
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.logs.drive import Drive
 from split_cli.proof.sets import scripted_drive
@@ -63,3 +66,34 @@ def test_a_nominal_car_has_none():
 def test_a_yaw_inertia_is_found_beside_terms_that_both_cars_have(late_pair):
     discrepancy = gather_case(CAR, late_pair).discrepancy
     assert yaw_inertia_found(discrepancy, *late_pair) == pytest.approx(1.15, abs=0.02)
+
+
+def begun_later(series: Series, seconds: float) -> Series:
+    """Return a recording whose every segment begins later, in the midst of driving."""
+    segment, period = series.drive.segment, series.period
+    into = np.arange(len(segment)) - np.searchsorted(segment, segment)
+    columns = {name: values[into * period >= seconds] for name, values in series.drive.columns.items()}
+    drive = replace(series.drive, columns=columns, segment=segment[into * period >= seconds])
+    return build_series(drive, series.role, np.cumsum(period * columns["vx"]))
+
+
+def test_what_a_late_car_did_before_a_recording_began_is_not_compared(late_pair):
+    """The wheels' angle, the torque and the tyres' forces at the begin answer to commands that were not recorded."""
+    series = begun_later(late_pair[0], 1.0)
+    shared = tuple(CATALOGUE[term](values) for term, values in SHARED.items())
+    discrepancy = replace(build_shared_discrepancy(CAR, series), shared_terms=shared)
+    whole = replace(STANDARD.believing, settling=0.0)
+    everything, settled = (
+        gather_evidence(CAR, series, discrepancy, rules=rules) for rules in (whole, STANDARD.believing)
+    )
+    began = np.concatenate([np.full(end - begin, begin) for begin, end in series.recording.segments])
+    since = (everything.at - began[everything.at]) * series.period
+    # Three times the longer one of both chains: torque, or steering and then tyres.
+    speed = np.abs(series.smooth[began[everything.at], 0])
+    unsettled = since < 3.0 * np.maximum(0.08, 0.06 + 0.5 / speed) - 0.02
+    assert not settled.weight[unsettled].any() and (settled.weight[since > 0.3] > 0.0).all()
+    wrong, right = (np.mean(everything.nominal_rows[rows] ** 2) for rows in (unsettled, settled.weight > 0.0))
+    assert wrong > 10.0 and 0.8 < right < 1.1
+    # A car that answers at once is compared from its first row.
+    at_once = gather_evidence(CAR, series, replace(discrepancy, shared_terms=()))
+    assert (at_once.weight > 0.0).all()

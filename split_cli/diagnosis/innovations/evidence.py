@@ -1,8 +1,8 @@
 """`Evidence`: whitened residuals of one recording against a model, in rows of unit variance.
 
 The difference between measured motion and a model's rates (the defects) is filtered by a `Whitener`. Noise is taken
-from the recording, and the disturbance is estimated by maximum likelihood. Rows at which wheels spin or lock have
-weight 0.
+from the recording, and the disturbance is estimated by maximum likelihood. Rows at which wheels spin or lock, and the
+first of each segment, have weight 0.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -42,7 +42,7 @@ class Evidence:
     discrepancy: np.ndarray  # (G, 3, C): whitened columns of the shared discrepancy
     at: np.ndarray  # int64 (G,): sample in the middle of each row
     disturbance: np.ndarray  # (3,): variance per second of unmodelled disturbances, see `build_whitener`
-    # (G,): root of the robust weight of a row; 0 where wheels spin or lock, and the row is not compared.
+    # (G,): root of the robust weight of a row; 0 where wheels spin or lock or a segment begins: it is not compared.
     weight: np.ndarray
     rolls: np.ndarray  # bool (N,): where the wheels roll, see `rolling`
     # Lags and similar effects that the simulation has too, part of every model here; see `shared_terms_of`.
@@ -159,7 +159,7 @@ def gather_evidence(
     rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)
     kept = np.ones(len(at), dtype=bool)
-    kept[group[(group >= 0) & ~rolls[:-1]]] = False
+    kept[group[(group >= 0) & ~(rolls & _has_settled(series, predicting, rules))[:-1]]] = False
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
     held = discrepancy.size(series) <= _KEPT_BYTES
     held_blocks = list(_integrated_blocks(series, discrepancy)) if held else []
@@ -231,6 +231,29 @@ def _cycling(asked: Sequence[np.ndarray], used: np.ndarray, period: float, rules
     steps = [np.diff(one, prepend=one[0]) for one in asked]
     swing = np.maximum(*(np.minimum(travel(one), travel(-one)) for one in steps))
     return (swing > rules.cycling_share) & (maximum_filter1d(used, window) > rules.rolling_share)
+
+
+def _has_settled(series: Series, terms: Sequence[Term], rules: Believing) -> np.ndarray:
+    """Return which samples lie late enough in their segment that its beginning no longer matters, bool (N,).
+
+    A model begins a segment in steady state. The real angle of the wheels, the torque that had arrived and the tyres'
+    forces answer to commands that were not recorded. What is unknown of them decays with the lags of `terms`: those of
+    the torque along the car, and those of steering and tyres, which follow each other, across it.
+    """
+    out = np.ones(len(series), dtype=bool)
+    along = [one for one in terms if one.family == "along"]
+    across = [one for one in terms if one not in along]
+    for begin, end in series.recording.segments:
+        speed = abs(float(series.smooth[begin, 0]))
+        slowest = max(_time_constant(along, speed), _time_constant(across, speed))
+        out[begin : min(begin + round(rules.settling * slowest / series.period), end)] = False
+    return out
+
+
+def _time_constant(terms: Sequence[Term], speed: float) -> float:
+    """Return the sum of the time constants of terms that act one after another, at a speed [m/s], in s."""
+    rates = [one.fastest_rate(speed) for one in terms]
+    return sum(1.0 / rate for rate in rates if rate > 0.0)
 
 
 def _begins_anew(series: Series, rolls: np.ndarray) -> np.ndarray:
