@@ -142,9 +142,9 @@ def _weights(rate: Any, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     rate = np.asarray(rate, dtype=float)
     between = rate if rate.ndim == 0 else 0.5 * (rate[1:] + rate[:-1])
     q = np.maximum(between * recording.period, 0.0)
-    kept = np.exp(-q)
-    # (1 - e^-q)/q without cancellation at q near 0.
-    return kept, np.where(q > 1e-8, -np.expm1(-q) / np.maximum(q, 1e-8), 1.0 - 0.5 * q)
+    # 1 - e^-q without cancellation at q near 0; the exponential is the costly part of a response.
+    lost = -np.expm1(-q)
+    return 1.0 - lost, np.where(q > 1e-8, lost / np.maximum(q, 1e-8), 1.0 - 0.5 * q)
 
 
 def first_order_from_means(target: Any, rate: Any, recording: Recording, name: str = "") -> np.ndarray:
