@@ -7,6 +7,7 @@ import numpy as np
 
 from split_cli.errors import DriveError, nearest_names
 from split_cli.logs.drive import Drive
+from split_cli.signals import CHANNELS
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.flow import Flow
@@ -42,6 +43,11 @@ class FeatureSet:
         """For each feature, whether the valid region limits it: those of z2, and states of terms behind them."""
         return tuple(name in Z2.names or "." in name for name in self.names)
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit of each feature, "1" for a number; "" for a channel that no command knows."""
+        return tuple(_unit(name) for name in self.names)
+
     def compute(self, model: SingleTrack, drive: Drive, recording: Recording | None = None) -> np.ndarray:
         """Return the features of every sample of a drive, shape (N, D); `recording` as of `flow_along`.
 
@@ -70,6 +76,15 @@ class FeatureSet:
                 raise _no_feature(name, [*computed, "steer_rate", *drive.columns], drive, model)
             columns.append(computed[name] if name in computed else drive[name])
         return np.ascontiguousarray(np.stack(columns, axis=1))
+
+
+def _unit(name: str) -> str:
+    term, _, state = name.partition(".")
+    if name in _UNITS:
+        return _UNITS[name]
+    if name in CHANNELS:
+        return CHANNELS[name].unit
+    return CATALOGUE[term].state_units.get(state, "") if term in CATALOGUE else ""
 
 
 def _no_feature(name: str, known: Sequence[str], drive: Drive, model: SingleTrack) -> DriveError:
@@ -128,6 +143,7 @@ Z2 = FeatureSet(("alpha_f", "alpha_r", "torque_ratio"))
 
 
 _NAMED = {"z1": Z1, "z2": Z2}
+_UNITS = {"alpha_f": "rad", "alpha_r": "rad", "torque_ratio": "1", "speed": "m/s", "steer_rate": "rad/s"}
 
 
 def parse_features(text: str | Sequence[str]) -> FeatureSet:

@@ -110,6 +110,8 @@ def _trained_set(path: Path) -> FileDescription:
 
     trained = read_set(path)
     kernel = trained.kernel
+    units = zip(trained.features.names, trained.features.units, strict=True)
+    features = [f"{name} [{unit}]" if unit else name for name, unit in units]
     lone = trained.trust.origin == "held-out" and len(trained.sources) < WHOLE_DRIVES
     facts = [
         ("vehicle", f"{trained.vehicle.name} (sha256 {trained.vehicle.digest()[:12]})"),
@@ -121,17 +123,17 @@ def _trained_set(path: Path) -> FileDescription:
         valid = valid_cell_count(trained.vehicle, trained.region, trained.grid)
         facts.append(("valid region", f"{valid} cells, {100.0 * share:.1f} % non-empty"))
     facts += [
-        ("cell edges", _named(trained.features.names, trained.grid.edges)),
+        ("cell edges", _named(features, trained.grid.edges)),
         ("label interval", f"{trained.horizon:g} s"),
         ("trust", trained.trust.words()),
         *([("intervals", _ONE_DRIVE)] if lone else []),
         *([("intervals hold", _NEAR_POINTS)] if trained.trust.origin == "held-out" else []),
         *(_found_in_training(effect) for effect in trained.found),
         *(("cannot say", text) for text in limits_of(trained)),
-        ("length scales", f"{_named(trained.features.names, kernel.length_scales)} ({kernel.origin})"),
+        ("length scales", f"{_named(features, kernel.length_scales)} ({kernel.origin})"),
         ("signal deviation", _named(_LABELS, np.sqrt(kernel.signal_variance))),
         ("noise deviation", _named(_LABELS, np.sqrt(kernel.noise_variance))),
-        ("threshold", f"{trained.threshold:g}"),
+        ("threshold", f"gain [1] {trained.threshold:g}, the least of a point that enters a cell with room"),
         ("forgetting", "off" if trained.forgetting is None else f"{trained.forgetting:g} s"),
     ]
     for source in trained.sources:

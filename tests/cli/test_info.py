@@ -6,6 +6,7 @@ from click.testing import CliRunner
 
 from split_cli.cli.main import group
 from split_cli.errors import SplitError
+from split_cli.learning.features import FeatureSet
 from split_cli.learning.training_set import write_set
 from split_cli.logs.drive import Drive, write_drive
 from split_cli.workflows.info import describe_file
@@ -24,6 +25,16 @@ def test_a_trained_set_tells_its_points_and_cells(tmp_path):
     told = facts(path)
     assert told["points"].startswith(f"{trained.size} in {trained.cell_count} cells")
     assert trained.vehicle.digest()[:12] in told["vehicle"]
+    for name, values in (("cell edges", trained.grid.edges), ("length scales", trained.kernel.length_scales)):
+        front, rear, torque = (f"{value:.3g}" for value in values)
+        assert told[name].startswith(f"alpha_f [rad] {front}, alpha_r [rad] {rear}, torque_ratio [1] {torque}")
+    assert told["threshold"].startswith(f"gain [1] {trained.threshold:g},")
+
+
+def test_a_feature_has_the_unit_of_its_channel_or_of_its_state():
+    """Length scales of a set without units could be degrees."""
+    features = FeatureSet(("speed", "steer_rate", "vx", "delta", "drive_lag.torque", "tire_relaxation.rear", "boost"))
+    assert features.units == ("m/s", "rad/s", "m/s", "rad", "N m", "N", "")
 
 
 def test_a_drive_tells_rate_segments_and_channels(tmp_path):
