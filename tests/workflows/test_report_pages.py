@@ -165,6 +165,21 @@ def test_the_headline_calls_harm_what_the_verdict_does():
     assert "worse" in _headline([hardly, judged("r", 1.02, 1.01, 1.03)])[1]
 
 
+def test_the_headline_calls_every_state_by_its_words_and_its_symbol():
+    """It said "smaller in longitudinal velocity, smaller in v_y and r too"."""
+
+    def judged(state: str, *ratio: float) -> Comparison:
+        return Comparison("bcm", "z2", state, 0.5, 20, 1.0, 1.0, 1.0, ratio, ratio)
+
+    better = [judged("v_x", 0.5, 0.4, 0.6), judged("v_y", 0.7, 0.6, 0.8), judged("r", 0.8, 0.7, 0.9)]
+    assert _headline(better)[1] == (
+        "The correction helps: errors up to 50 % smaller in longitudinal velocity v_x, and smaller in lateral velocity "
+        "v_y and yaw rate r."
+    )
+    worse = [judged("v_y", 1.5, 1.4, 1.6), judged("r", 1.5, 1.4, 1.6)]
+    assert _headline(worse)[1] == "The learned correction makes lateral velocity v_y and yaw rate r worse."
+
+
 def test_in_a_browser_no_name_runs_or_hides(run, drive, car, browser, tmp_path):
     pages = recording_page(drive, FOUND, recording_charts(drive, car)), evaluation_page(run)
     for page in pages:

@@ -122,16 +122,15 @@ def _headline(comparisons: Sequence[Comparison]) -> tuple[str, str]:
     judged = [c for c in comparisons if c.name == name and np.isfinite(c.to_nominal).all()]
     worse = sorted({c.state for c in judged if does_harm(c)}, key=list(_STATES).index)
     if worse:
-        states = " and ".join(_STATES[state][0].lower() for state in worse)
-        return "mismatch", f"The learned correction makes {states} worse."
+        return "mismatch", f"The learned correction makes {_in_words(worse)} worse."
     away = runs_away(judged)
     if away:
         whose = (
             "The model runs away, with the correction and without" if nominal_runs_away(away) else "The model runs away"
         )
         worst = max(away, key=lambda c: c.to_held[0])
-        state = _STATES[worst.state][0].lower()
-        return "mismatch", f"{whose}: {state} errs {worst.to_held[0]:.2g} times as much as velocities held."
+        errs = f"{_in_words([worst.state])} errs"
+        return "mismatch", f"{whose}: {errs} {worst.to_held[0]:.2g} times as much as velocities held."
     better = {c.state: c for c in judged if c.is_better}
     if not judged:
         return "undecided", "Too little held-out time to tell whether the correction helps."
@@ -142,8 +141,13 @@ def _headline(comparisons: Sequence[Comparison]) -> tuple[str, str]:
     best = min(longest, key=lambda c: c.to_nominal[0])
     less = round(100.0 * (1.0 - best.to_nominal[0]))
     others = [s for s in better if s != best.state]
-    more = f", smaller in {' and '.join(_STATES[s][1] for s in others)} too" if others else ""
-    return "match", f"The correction helps: errors up to {less} % smaller in {_STATES[best.state][0].lower()}{more}."
+    more = f", and smaller in {_in_words(others)}" if others else ""
+    return "match", f"The correction helps: errors up to {less} % smaller in {_in_words([best.state])}{more}."
+
+
+def _in_words(states: Iterable[str]) -> str:
+    """Return states as a headline names them, the symbol of charts and tables behind the words."""
+    return " and ".join(f"{_STATES[state][0].lower()} {_STATES[state][1]}" for state in states)
 
 
 def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison], left_out: Iterable[str]) -> str:
