@@ -366,6 +366,8 @@ class TestInABrowser:
         # The gap is in front lateral force, so that is what the charts begin with.
         assert "front lateral" in label_of(browser, "track")
         before = one(browser, "#plot-strip svg").get_attribute("innerHTML")
+        controls = one(browser, "#controls")
+        browser.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", controls)
         one(browser, "input[name=channel][value='2']").find_element("xpath", "..").click()
         assert "rear lateral" in label_of(browser, "track") and "Rear lateral" in label_of(browser, "strip")
         assert one(browser, "#plot-strip svg").get_attribute("innerHTML") != before

@@ -20,9 +20,6 @@ def what_section(diagnosis: Diagnosis) -> str:
         cards = f"<p>Each card lists other terms in the place of the chosen one. {_RIVALS}</p>{cards}"
     if not diagnosis.findings:
         cards = '<p class="lead">No effect of the catalogue was identified.</p>'
-    if diagnosis.leads:
-        leads = items(one.sentence for one in diagnosis.leads)
-        cards += f'<div class="note" id="leads"><ul>{leads}</ul></div>'
     remainder = ""
     if diagnosis.remainder is not None:
         remainder = _remainder(diagnosis.remainder, diagnosis, _level(diagnosis))
@@ -34,6 +31,14 @@ def what_section(diagnosis: Diagnosis) -> str:
         else ""
     )
     return section("what", "What the simulation lacks", f"{cards}{remainder}{history}")
+
+
+def leads_section(diagnosis: Diagnosis) -> str:
+    """Return the section on explanations that are no findings; empty where there is none."""
+    if not diagnosis.leads:
+        return ""
+    leads = items(one.sentence for one in diagnosis.leads)
+    return section("leads", "Leads: explanations that are no findings", f"<ul>{leads}</ul>")
 
 
 def _finding(order: int, finding: Finding) -> str:

@@ -1,4 +1,4 @@
-"""The report's sections as HTML: verdict, where, does it help, what was not judged, and what was read."""
+"""The report's sections as HTML: verdict, does it help, what was not judged, where, and what was read."""
 
 from collections.abc import Iterable, Sequence
 
@@ -14,7 +14,7 @@ from split_cli.diagnosis.statement.sentences import (
 )
 from split_cli.plots.chart import Chart
 from split_cli.workflows.report.chart_sections import chart_sections
-from split_cli.workflows.report.findings import what_section
+from split_cli.workflows.report.findings import leads_section, what_section
 from split_cli.workflows.report.headline import finding_headline, findings_headline
 from split_cli.workflows.report.markup import bar_row, facts_list, section, table, verdict_section
 from split_cli.workflows.report.words import (
@@ -48,7 +48,7 @@ _SETTINGS = (
 )
 _AT_THE_TOP = 9
 """Sentences that a first screen holds beside the headline [1]; judgement: those of one or two findings. More stand
-below the charts: they were two screens, of which the headline and its findings say the first half."""
+below the findings: they were two screens, of which the headline and its findings say the first half."""
 _STAGES = (
     ("before", "Simulation as it is"),
     ("physics", "With the identified effects"),
@@ -66,23 +66,28 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
 
 
 def all_sections(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
-    """Return the body of the page; a verdict without a gap has no sections about one."""
+    """Return the body of the page: what is said first, then what it is seen in.
+
+    Findings, the errors without them, and what was not found come before the charts. A verdict without a gap has no
+    sections about one.
+    """
+    decided = diagnosis.verdict != "undecided"
     parts = [_verdict(diagnosis)]
-    if diagnosis.verdict != "undecided":
-        parts += chart_sections(charts)
-    if len(_lead(diagnosis)) > _AT_THE_TOP:
-        parts.append(section("sentences", "What was found, in sentences", _in_sentences(diagnosis)))
-    if diagnosis.verdict == "undecided":
-        parts.append(_not_judged(diagnosis))
-    if any(len(gap.t) for gap in diagnosis.gaps):
-        parts.append(_where(diagnosis))
     if diagnosis.verdict == "mismatch":
         parts.append(what_section(diagnosis))
+    if len(_lead(diagnosis)) > _AT_THE_TOP:
+        parts.append(section("sentences", "What was found, in sentences", _in_sentences(diagnosis)))
     if diagnosis.improvement is not None:
         parts.append(_help(diagnosis, diagnosis.improvement))
-    if diagnosis.verdict != "undecided":
-        parts.append(_not_judged(diagnosis))
+    if decided:
+        parts.append(leads_section(diagnosis))
+    parts.append(_not_judged(diagnosis))
+    if decided:
         parts.append(_would_show(diagnosis))
+    if any(len(gap.t) for gap in diagnosis.gaps):
+        parts.append(_where(diagnosis))
+    if decided:
+        parts += chart_sections(charts)
     parts.append(_provenance(diagnosis))
     return "\n".join(parts)
 
