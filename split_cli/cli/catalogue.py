@@ -72,7 +72,7 @@ def _facts(kind: type) -> list[str]:
     for variant in kind.variants[1:]:
         own = _parameters(kind, variant)
         same = own == _parameters(kind, kind.variants[0])
-        lines.append(f"- Variant `{variant}`" + ("" if same else f": {own}"))
+        lines.append(f"- Variant `{variant}`, {kind.variant_words[variant]}" + ("" if same else f": {own}"))
     if kind.states:
         lines.append(f"- States it adds to the model: {', '.join(f'`{kind.id}.{name}`' for name in kind.states)}")
     if not kind.exported:

@@ -2,8 +2,9 @@
 
 import pytest
 
+from split_cli.vehicle.effects import CATALOGUE
 from split_cli.workflows.report.markup import notes_section
-from split_cli.workflows.report.words import heading, prose
+from split_cli.workflows.report.words import heading, prose, term_title
 
 
 @pytest.mark.parametrize(
@@ -26,3 +27,15 @@ def test_a_note_that_a_command_prints_without_an_end_has_one_on_a_page():
     """`its error is 89 % of the nominal model's` looked cut off."""
     page = notes_section(["its error is 89 % of the nominal model's", "Done."], "Notes")
     assert "model&#x27;s.</li>" in page and "Done.</li>" in page
+
+
+def test_every_variant_is_called_by_what_it_is():
+    """A card offered "Drive lag (changed)", of which no page said what had changed."""
+    assert term_title("drive_lag") == "Drive lag"
+    assert term_title("drive_lag", "changed") == "Drive lag, longer or shorter than the simulation's"
+    assert term_title("cg_shift", "degressive").startswith("CG shift, with tyre forces less than")
+    for term, kind in CATALOGUE.items():
+        missing = {one for one in kind.variants if one} - set(kind.variant_words)
+        assert not missing, f"{term}: {missing}"
+        titles = [term_title(term, one) for one in kind.variants]
+        assert len(set(titles)) == len(titles)

@@ -94,6 +94,10 @@ class DriveLag(Lagging):
     titles: ClassVar = {"": "Drive torque lags"}
     in_every_car: ClassVar = True
     variants: ClassVar = ("", "changed", "along")
+    variant_words: ClassVar = {
+        "changed": "longer or shorter than the simulation's",
+        "along": "in the force along the car alone",
+    }
     family = "along"
     needs: ClassVar = frozenset({"torque", "torque changes"})
     discrepancy: ClassVar = (("", "tau", 0.03), ("", "tau", 0.10))
@@ -223,6 +227,10 @@ class SteerLag(Lagging):
     through_tires: ClassVar = True
     family = "steering"
     variants: ClassVar = ("", "changed", "learned")
+    variant_words: ClassVar = {
+        "changed": "longer or shorter than the simulation's",
+        "learned": "as far as the trained set knows",
+    }
     discrepancy: ClassVar = (("", "tau", 0.02), ("", "tau", 0.06))
     states = ("angle",)
     state_units: ClassVar = {"angle": "rad", "angle_shared": "rad"}

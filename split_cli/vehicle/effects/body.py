@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from split_cli.vehicle.effects.search import Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
-from split_cli.vehicle.effects.tires import scale_load
+from split_cli.vehicle.effects.tires import LOAD_LAWS, scale_load
 from split_cli.vehicle.effects.wording import Estimates, amount, scaled
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
@@ -73,6 +73,7 @@ class Mass(Term):
     needs: ClassVar = frozenset({"torque"})
     discrepancy: ClassVar = (("", "scale", 0.1),)
     variants: ClassVar = ("", "loaded", "degressive")
+    variant_words: ClassVar = LOAD_LAWS
     loads_tires: ClassVar = True
     mimics: ClassVar = (
         Mimic(
@@ -189,6 +190,7 @@ class CgShift(Term):
     family = "body"
     discrepancy: ClassVar = (("", "dx", 0.03),)
     variants: ClassVar = ("", "loaded", "degressive")
+    variant_words: ClassVar = LOAD_LAWS
     loads_tires: ClassVar = True
     mimics: ClassVar = (
         Mimic(

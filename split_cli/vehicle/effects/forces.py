@@ -143,6 +143,7 @@ class YawMomentDifferential(Term):
     neutral: ClassVar = {"yaw_damping": 0.0}
     discrepancy: ClassVar = (("", "yaw_damping", 0.2), ("driven", "yaw_damping", 0.2))
     variants: ClassVar = ("", "driven", "slip")
+    variant_words: ClassVar = {"driven": "less by drive force in turns", "slip": "limited by the slip of the tyres"}
     mimics: ClassVar = (
         Mimic("cg_shift+tire_stiffness", "steady turns", "steer steps: damping acts at once, slip builds up"),
     )
@@ -233,6 +234,10 @@ class Wind(Term):
     family = "air"
     needs: ClassVar = frozenset({"position"})
     variants: ClassVar = ("", "side", "broadside")
+    variant_words: ClassVar = {
+        "side": "with a side coefficient 2.5 times that of drag",
+        "broadside": "with a side coefficient 6 times that of drag",
+    }
     side_ratio: ClassVar = {"": 1.0, "side": 2.5, "broadside": 6.0}
     mimics: ClassVar = (
         Mimic("road_bank+road_grade", "one pass of an open road", "the same place driven in both directions"),

@@ -82,6 +82,7 @@ class VelocityBias(_Instrument):
     titles: ClassVar = {"": "Lateral velocity biased"}
     units: ClassVar = {"angle": "rad", "drift": "rad/s"}
     variants: ClassVar = ("", "step", "offset")
+    variant_words: ClassVar = {"step": "an angle that jumps once", "offset": "a constant added to v_y"}
     variant_units: ClassVar = {"step": {"angle": "rad", "step": "rad", "at": "s"}, "offset": {"offset": "m/s"}}
     neutral: ClassVar = {"angle": 0.0, "drift": 0.0, "step": 0.0, "offset": 0.0}
     needs: ClassVar = frozenset({"measured position", "lateral velocity"})
@@ -153,6 +154,7 @@ class AccelerationBias(_Instrument):
     titles: ClassVar = {"": "Acceleration biased"}
     units: ClassVar = {"ax": "m/s^2", "ay": "m/s^2"}
     variants: ClassVar = ("", "ax", "ay")
+    variant_words: ClassVar = {"ax": "of a_x alone", "ay": "of a_y alone"}
     variant_units: ClassVar = {name: {name: "m/s^2"} for name in ("ax", "ay")}
     neutral: ClassVar = {"ax": 0.0, "ay": 0.0}
     variant_needs: ClassVar = {"": frozenset({"ax", "ay"}), "ax": frozenset({"ax"}), "ay": frozenset({"ay"})}
@@ -250,6 +252,7 @@ class SpeedScale(_Scale):
     id = "speed_scale"
     factors: ClassVar = {"scale": ("Speed sensor", "high", "low")}
     variants: ClassVar = ("", "vx")
+    variant_words: ClassVar = {"vx": "of v_x alone"}
     channels = ("vx", "vy")
     subject = "the velocity"
     mimics: ClassVar = (
@@ -293,6 +296,15 @@ class ChannelDelay(_Instrument):
         "ay": "Lateral acceleration late",
     }
     variants: ClassVar = ("r", "vx", "vy", "velocity", "ax", "ay", "imu")
+    variant_words: ClassVar = {
+        "r": "of the yaw rate r",
+        "vx": "of v_x",
+        "vy": "of v_y",
+        "velocity": "of both velocities",
+        "ax": "of a_x",
+        "ay": "of a_y",
+        "imu": "of yaw rate and accelerations",
+    }
     units: ClassVar = {"r": "s"}
     variant_units: ClassVar = {
         **{name: {name: "s"} for name in ("r", "vx", "vy", "ax", "ay")},

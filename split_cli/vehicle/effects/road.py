@@ -24,6 +24,7 @@ class _Incline(Term):
 
     units: ClassVar = {"angle": "rad"}
     variants: ClassVar = ("", "wave", "stretch")
+    variant_words: ClassVar = {"wave": "in waves along the track", "stretch": "on one stretch"}
     variant_units: ClassVar = {"wave": _WAVE, "stretch": _STRETCH}
     neutral: ClassVar = {"angle": 0.0, "amplitude": 0.0}
     family = "place"

@@ -58,6 +58,7 @@ class SensorLeverArm(_Frame):
     id = "sensor_lever_arm"
     titles: ClassVar = {"": "Velocity sensor off its place"}
     variants: ClassVar = ("", "unit", _FRAME)
+    variant_words: ClassVar = {"unit": "with the accelerometers", _FRAME: "of the tracked point"}
     variant_needs: ClassVar = {**_Frame.variant_needs, "unit": frozenset({"ay"})}
     units: ClassVar = {"dx": "m"}
     neutral: ClassVar = {"dx": 0.0}
@@ -116,6 +117,7 @@ class SensorMisalignment(_Frame):
     id = "sensor_misalignment"
     titles: ClassVar = {"": "Velocity sensor turned"}
     variants: ClassVar = ("", _FRAME)
+    variant_words: ClassVar = {_FRAME: "of the tracked axis"}
     units: ClassVar = {"angle": "rad"}
     neutral: ClassVar = {"angle": 0.0}
     mimics: ClassVar = (

@@ -126,6 +126,8 @@ class Term:
     titles : mapping of str to str
         By variant, what a headline calls it, the part of the car first: ``Steering late``. A variant that is not
         named is called as the default, a term without any by its own name.
+    variant_words : mapping of str to str
+        What a reader calls a variant, behind the term's name and a comma: ``on one stretch``.
     factors : mapping of str to (str, str, str)
         Of a parameter that is a factor, or of ``variant/parameter``: the part of the car, and the words for above
         and below 1: ``Brakes``, ``strong``, ``weak``.
@@ -163,6 +165,7 @@ class Term:
     moves_car: ClassVar[bool] = True
     on_command_clock: ClassVar[bool] = False
     titles: ClassVar[Mapping[str, str]] = {}
+    variant_words: ClassVar[Mapping[str, str]] = {}
     factors: ClassVar[Mapping[str, tuple[str, str, str]]] = {}
     discrepancy: ClassVar[tuple[tuple[str, str, float], ...]] = ()
 

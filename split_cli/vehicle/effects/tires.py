@@ -33,6 +33,13 @@ _PITCH = "Gillespie (1992), chapter 5: cars pitch at 1 to 2 Hz, damped by 0.2 to
 _SLOPE_OF_UNEQUAL_LOADS, _PEAK_OF_UNEQUAL_LOADS, _LEAST_OF_UNEQUAL_LOADS = 0.25, 0.1, 0.3
 _TRACK = 0.58  # track width over wheelbase [1]; judgement: 0.5 to 0.7 in cars
 _BENT = {"curve": frozenset({"hard turns"})}
+LOAD_LAWS = {
+    "loaded": "with tyre forces in proportion to the load",
+    "peak": "with peak forces of the tyres alone in proportion to the load",
+    "degressive": "with tyre forces less than in proportion to the load",
+}
+"""What a reader calls the variants of terms that load the tyres; see `scale_load`."""
+_SCALED = {"curve": "of the whole tyre curve, stiffness included"}
 _LOADED = (
     "judgement: with 7 m^2 of C_L A on 250 kg, most of any Formula Student car, an axle has 0.4, and 0.25 in "
     "Formula 1; a car may lack that much, and have twice as much"
@@ -144,6 +151,7 @@ class FrictionScale(Term):
     neutral: ClassVar = {"scale": 1.0}
     discrepancy: ClassVar = (("", "scale", -0.15),)
     variants: ClassVar = ("", "curve", "front", "rear")
+    variant_words: ClassVar = {**_SCALED, "front": "of the front axle alone", "rear": "of the rear axle alone"}
     variant_needs: ClassVar = _BENT
     axles: ClassVar = ("front", "rear")
     mimics: ClassVar = (
@@ -188,6 +196,7 @@ class FrictionPatch(Term):
     family = "place"
     needs: ClassVar = frozenset({"position"})
     variants: ClassVar = ("", "curve")
+    variant_words: ClassVar = _SCALED
     variant_needs: ClassVar = _BENT
     mimics: ClassVar = (
         Mimic("friction_scale", "turns only inside the stretch", "turns elsewhere"),
@@ -232,6 +241,7 @@ class GripFade(Term):
     neutral: ClassVar = {"final_loss": 0.0}
     family = "time"
     variants: ClassVar = ("", "curve")
+    variant_words: ClassVar = _SCALED
     variant_needs: ClassVar = _BENT
     mimics: ClassVar = (
         Mimic("friction_scale", "tau much shorter than the drive", "hard driving in the first seconds"),
@@ -295,6 +305,12 @@ class LoadTransfer(Term):
     neutral: ClassVar = {"cg_height": 0.0}
     discrepancy: ClassVar = (("", "cg_height", 0.2), ("peak", "cg_height", 0.2))
     variants: ClassVar = ("", "peak", "degressive", "late", "degressive late", "higher")
+    variant_words: ClassVar = {
+        **LOAD_LAWS,
+        "late": "after the body has pitched",
+        "degressive late": f"after the body has pitched, {LOAD_LAWS['degressive']}",
+        "higher": "of a centre of gravity that is higher than the file's",
+    }
     variant_needs: ClassVar = {"higher": frozenset({"simulation"})}
     loads_tires: ClassVar = True
     state_units: ClassVar = {"moved": "N"}
@@ -396,6 +412,7 @@ class AeroDownforce(Term):
     neutral: ClassVar = {"front": 0.0, "rear": 0.0}
     discrepancy: ClassVar = (("", "front", 0.3), ("", "rear", 0.3))
     variants: ClassVar = ("", "peak", "degressive")
+    variant_words: ClassVar = LOAD_LAWS
     loads_tires: ClassVar = True
     mimics: ClassVar = (
         Mimic("tire_stiffness", "one speed in every turn", "the same turn at two speeds"),

@@ -32,6 +32,7 @@ class TireRelaxation(BuildsUp):
     through_tires: ClassVar = True
     slow = "length"
     variants: ClassVar = ("", "changed")
+    variant_words: ClassVar = {"changed": "longer or shorter than the simulation's"}
     units: ClassVar = {"length": "m"}
     variant_units: ClassVar = {"changed": {"length": "m", "shared": "m"}}
     neutral: ClassVar = {"length": 0.0}

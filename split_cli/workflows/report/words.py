@@ -7,6 +7,7 @@ import unicodedata
 from collections.abc import Sequence
 
 from split_cli.diagnosis.statement.wording import variable_name
+from split_cli.vehicle.effects import CATALOGUE
 
 FORCE_IDS = ("longitudinal", "front_lateral", "rear_lateral")
 FORCES = {"longitudinal": "Longitudinal", "front_lateral": "Front lateral", "rear_lateral": "Rear lateral"}
@@ -42,9 +43,12 @@ def heading(text: object) -> str:
 
 
 def term_title(term: str, variant: str = "") -> str:
-    """Return a term's name in words: ``steer_gain`` is "Steer gain"."""
+    """Return a term's name in words: ``steer_gain`` is "Steer gain"; what a variant is stands behind a comma."""
     words = " + ".join(part.replace("_", " ").capitalize() for part in term.split("+")).replace("Cg ", "CG ")
-    return f"{words} ({variant.replace('_', ' ')})" if variant else words
+    if not variant:
+        return words
+    known = CATALOGUE[term].variant_words if term in CATALOGUE else {}
+    return f"{words}, {known.get(variant, variant.replace('_', ' '))}"
 
 
 def variable(name: str) -> tuple[str, str]:
