@@ -213,8 +213,16 @@ def test_an_understeer_gradient_of_the_model_alone_is_not_drawn(monkeypatch, car
     monkeypatch.setattr(handling, "understeer_of", lambda motion, _: motion == "real" and gradient)
     (chart,) = handling_charts([real, SimpleNamespace(**vars(model) | {"name": "nominal model"})], car)
     assert chart.note.endswith(" Too little gentle cornering: nominal model.")
+    assert "ranges differ" not in chart.note and "over |a_y| up to 3.0 m/s²" in chart.note
     # Its line ends where the moments do.
     assert chart.series[-1].x.min() >= lateral.min() and chart.series[-1].x.max() <= lateral.max()
+    # Two gradients stood side by side, one of up to 3 m/s² and one of up to 1, as if they were comparable.
+    gentle = replace(gradient, lateral=lateral / 3.0)
+    monkeypatch.setattr(handling, "understeer_of", lambda motion, _: gradient if motion == "real" else gentle)
+    (chart,) = handling_charts([real, SimpleNamespace(**vars(model) | {"name": "nominal model"})], car)
+    measured, modelled, reason = re.split(r"; |(?<=m/s²)\. ", chart.note, maxsplit=2)
+    assert measured.endswith("over |a_y| up to 3.0 m/s²") and modelled.endswith("over |a_y| up to 1.0 m/s²")
+    assert reason.startswith("These ranges differ, since")
     monkeypatch.setattr(handling, "understeer_of", lambda motion, _: None)
     response = SimpleNamespace(frequency=[0.5], gain=[4.0], gain_low=[3.0], gain_high=[5.0], phase=[-9.0], windows=12)
     monkeypatch.setattr(handling, "steering_response", lambda motion, _: response)

@@ -71,15 +71,16 @@ def _understeer(shown: Sequence[tuple[Subject, Understeer]], missing: Sequence[s
         line = found.offset + found.gradient * reach
         series.append(ChartLine(one.name, reach, line, one.role, shown=one.shown))
     ranges = [f"{_reach(found):.1f}" for _, found in shown]
-    same = len(set(ranges)) == 1
     words = "; ".join(
-        understeer_words(one.name, found) + (f", up to {reach} m/s²" * (not same))
+        f"{understeer_words(one.name, found)} over |a_y| up to {reach} m/s²"
         for (one, found), reach in zip(shown, ranges, strict=True)
     )
-    upto = f"|a_y| up to {ranges[0]} m/s²" if same else f"|a_y| below {shown[0][1].limit:.1f} m/s²"
-    note = f"The slope is the understeer gradient, from {upto}: {words}."
-    if not same:
-        note += " Slopes from different ranges of a_y may differ."
+    note = f"The slope is the understeer gradient: {words}."
+    if len(set(ranges)) > 1:
+        note += (
+            f" These ranges differ, since gentle cornering (|a_y| up to {shown[0][1].limit:.1f} m/s²) is what each "
+            "recording holds of it. Over different ranges one and the same car may have different slopes."
+        )
     if missing:
         note += f" Too little gentle cornering: {', '.join(missing)}."
     return Chart("understeer", "Understeer gradient", "a_y [m/s²]", "alpha_f − alpha_r [rad]", tuple(series), note)
