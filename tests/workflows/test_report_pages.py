@@ -113,6 +113,9 @@ def test_an_evaluation_shows_every_state_beside_the_vehicle_file(run):
     first = next(c for c in run.report.comparisons if c.state == "v_y" and c.name == "bcm")
     series = charts["ratio-vy"].series[0]
     assert (series.x[0], series.low[0], series.high[0]) == pytest.approx(first.to_nominal)
+    # Of every row of charts one says what to see.
+    noted = {name.partition("-")[0] for name, chart in charts.items() if chart.note}
+    assert {name.partition("-")[0] for name in charts} - noted == {"force"}  # it stands beside those of tyres
     # What is left after the correction is less than before, where the report says so.
     before, after = (np.std(s.y) for s in charts["white-vy"].series)
     assert np.isfinite([before, after]).all()

@@ -61,8 +61,8 @@ def drive_charts(subjects: Sequence[Subject], vehicle: Vehicle | None = None) ->
         return ()
     modelled = any(one.vehicle is not None for one in subjects)
     note = (
-        f"Models run open loop on the recorded inputs and restart from the measurement every {FREE_SECONDS:g} s."
-        * modelled
+        f"Models run open loop on the recorded inputs and restart from the measurement every {FREE_SECONDS:g} s. Where "
+        "such a line leaves the measured one, here or below, the model gets something wrong." * modelled
     )
     recorded = [(one, motion) for one, motion in moving if one.vehicle is None]
     charts = []
@@ -107,13 +107,13 @@ def _accelerations(moving: Sequence[tuple[Subject, Drive]], vehicle: Vehicle | N
         part = thinned(len(motion), _MOST_DOTS)
         x, y = motion["ay"][part], motion["ax"][part]
         series.append(ChartLine(one.name, x, y, one.role, "points", shown=one.shown))
-    note = ""
+    note = "Each dot is a moment; braking lies below, left turns to the right."
     if vehicle is not None:
         angle = np.linspace(0.0, 2.0 * np.pi, 121)
         most = vehicle.lateral_grip
         x, y = most * np.cos(angle), most * np.sin(angle)
         series.append(ChartLine("friction ellipse of the vehicle file", x, y, "other"))
-        note = "The ellipse is (D_f + D_r)/m: the peak forces of both axles together."
+        note += " The ellipse is (D_f + D_r)/m, the peak forces of both axles together: dots near it use all grip."
     return Chart("gg", "Accelerations (GG)", "a_y, left positive [m/s²]", "a_x [m/s²]", tuple(series), note, equal=True)
 
 
@@ -129,4 +129,5 @@ def track_chart(drives: Sequence[tuple[str, str, Drive]]) -> Chart | None:
         series.append(ChartLine(name, x, y, role))
     if not series:
         return None
-    return Chart("path", "Track map", "X [m]", "Y [m]", tuple(series), equal=True)
+    note = "Where lines part, the drives took different paths." if len(series) > 1 else "The path as it was recorded."
+    return Chart("path", "Track map", "X [m]", "Y [m]", tuple(series), note, equal=True)

@@ -34,6 +34,7 @@ def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Char
         phase = tuple(ChartLine(one.name, r.frequency, r.phase, one.role, shown=one.shown) for one, r in coherent)
         count = coherent[0][1].windows
         note = f"{count} stretches of 8 s; only where steering and yaw rate are coherent; bands are 95 %."
+        note += " A lower gain is less yaw rate for the same steering."
         note += "" if known else " Too little gentle, steady cornering was measured for an understeer gradient."
         charts.append(
             Chart(
@@ -48,7 +49,13 @@ def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Char
         )
         charts.append(
             Chart(
-                "response-phase", "Steering response: phase", "frequency [Hz]", "phase [deg]", phase, group="response"
+                "response-phase",
+                "Steering response: phase",
+                "frequency [Hz]",
+                "phase [deg]",
+                phase,
+                "The further below 0, the later the car answers its steering.",
+                group="response",
             )
         )
     return tuple(charts)
@@ -75,7 +82,7 @@ def _understeer(shown: Sequence[tuple[Subject, Understeer]], missing: Sequence[s
         f"{understeer_words(one.name, found)} over |a_y| up to {reach} m/s²"
         for (one, found), reach in zip(shown, ranges, strict=True)
     )
-    note = f"The slope is the understeer gradient: {words}."
+    note = f"The slope is the understeer gradient (steeper is more understeer): {words}."
     if len(set(ranges)) > 1:
         note += (
             f" These ranges differ, since gentle cornering (|a_y| up to {shown[0][1].limit:.1f} m/s²) is what each "

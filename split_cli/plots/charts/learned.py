@@ -10,6 +10,11 @@ from split_cli.scoring.run import Trace
 
 _STATES = (("v_x", "m/s²"), ("v_y", "m/s²"), ("r", "rad/s²"))
 _TWO_SIDED_95 = 1.959964
+_LABEL = (
+    "A label is what the nominal model gets wrong: that model predicts 0. The closer the line follows the dots, the "
+    "more of this error is learned."
+)
+_GROWTH = "Where the line is flat, driving brought little that the set had not met before."
 _ROLES = ("learned", "corrected", "nominal", "other")
 
 
@@ -31,7 +36,7 @@ def label_charts(trace: Trace) -> tuple[Chart, ...]:
             ChartLine("label", tested.t[shown], tested.y[shown, state], "measured", "points"),
             ChartLine(f"{trace.name}, 95 % interval of a label", t, middle, "learned", low=low, high=high),
         )
-        note = "" if state else "A label is what the nominal model gets wrong: that model predicts 0."
+        note = "" if state else _LABEL
         name = f"label-{symbol.replace('_', '')}"
         texts = f"Label of {symbol}", "time [s]", f"label of {symbol} [{unit}]"
         charts.append(Chart(name, *texts, series, note, wide=True, group="labels"))
@@ -56,4 +61,5 @@ def growth_chart(sets: Sequence[tuple[str, TrainingSet]]) -> tuple[Chart, ...]:
         met, count = kept_over_time(trained)
         shown = thinned(len(met))
         series.append(ChartLine(name, met[shown], count[shown], _ROLES[k % len(_ROLES)]))
-    return (Chart("growth", "Points of the set, by when they were met", "driving time [s]", "points", tuple(series)),)
+    texts = "growth", "Points of the set, by when they were met", "driving time [s]", "points"
+    return (Chart(*texts, tuple(series), _GROWTH),)

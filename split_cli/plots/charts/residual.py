@@ -11,6 +11,7 @@ from split_cli.scoring.handling.whiteness import autocorrelation
 
 _STATES = ("v_x", "v_y", "r")
 _LAGS = 20
+_NARROW = " Below the diagonal intervals are too narrow, above it too wide."
 
 
 def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]], more: str = "") -> tuple[Chart, ...]:
@@ -83,7 +84,7 @@ def coverage_charts(tallies: Mapping[tuple[str, str], ScoreTally], predictors: S
                 "promised [%]",
                 "labels inside [%]",
                 tuple(series),
-                f"Inside the 95 % interval: {', '.join(inside)}.",
+                f"Inside the 95 % interval: {', '.join(inside)}.{'' if state else _NARROW}",
                 equal=True,
             )
         )

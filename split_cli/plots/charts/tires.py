@@ -18,6 +18,10 @@ _MOST_DOTS = 1500
 _BINS = 28
 _FEWEST = 20
 _TWO_SIDED_95 = 1.959964
+_DOTS = (
+    "Each dot is the force that the measured motion needs at a moment. Where dots lie beside a line, that model has "
+    "too much or too little force there."
+)
 _ON_THE_CURVE = (
     "No yaw rate was recorded. The rear axle lies on its nominal curve since its slip was derived from it; an error of "
     "this curve shows at the front axle."
@@ -68,7 +72,7 @@ def tire_charts(
         if learned is not None:
             base = forces.nominal if with_found is None else with_found
             series.append(_learned(learned, forces, base, vehicle, x, column, width, with_found is not None))
-        note = _ON_THE_CURVE if of_tires and column == 2 else ""
+        note = _DOTS if column == 1 else _ON_THE_CURVE if of_tires and column == 2 else ""
         charts.append(Chart(name, title, x_title, y_title, tuple(series), note))
     return tuple(charts)
 
@@ -83,8 +87,8 @@ def tire_charts_of_files(drive: Drive, cars: Sequence[tuple[str, str, Vehicle]])
         return ()
     one_each = {_curves(car): (name, role, car) for name, role, car in reversed(cars)}
     note = (
-        f"Measured forces and slip angles are by the mass and geometry of {cars[0][0]}; curves are the files' own, "
-        "without what a set has learned."
+        f"{_DOTS} Measured forces and slip angles are by the mass and geometry of {cars[0][0]}; curves are the files' "
+        "own, without what a set has learned."
     )
     return tuple(
         Chart(

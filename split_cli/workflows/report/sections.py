@@ -40,8 +40,10 @@ _HEADLINES = {
 }
 _GAP = (
     "The gap is the force on the real car minus that in the simulation at the same operating point (slip angles, "
-    "torque and speed)."
+    "torque and speed). In the charts of it, red is more force in reality, blue less."
 )
+_OVER_THE_DRIVE = "A zoom here restricts the maps above."
+_RESIDUAL = "Where the residual stays near 0, the identified effects explain the gap."
 _SETTINGS = (
     "The fixed numbers of the program, the same for every recording; split_cli/diagnosis/policy.py gives unit, "
     "meaning and origin of each."
@@ -187,7 +189,8 @@ def _where(diagnosis: Diagnosis) -> str:
     figures = [_figure("map", "Over operating points", hint)]
     figures.append(_figure("track", "Along the track", "Pointing at a place marks its time in every chart."))
     if mismatch:
-        figures.append(_figure("strip", "Over the drive", "A zoom here restricts the maps above.", wide=True))
+        hint = f"{_RESIDUAL} {_OVER_THE_DRIVE}" if diagnosis.findings else _OVER_THE_DRIVE
+        figures.append(_figure("strip", "Over the drive", hint, wide=True))
     return section(
         "where",
         "Where" if mismatch else "Where they were compared",
@@ -268,8 +271,8 @@ def _help(diagnosis: Diagnosis, improvement: Improvement) -> str:
     return section(
         "help",
         "Prediction error on held-out data",
-        f"<p>One-step errors {escape(where)}, which the fit did not use.{escape(how)} Grey: noise floor."
-        f'</p><div class="figures thirds" id="errors"></div>{"".join(tables)}',
+        f"<p>One-step errors {escape(where)}, which the fit did not use.{escape(how)} Further left is "
+        f'better. Grey: noise floor.</p><div class="figures thirds" id="errors"></div>{"".join(tables)}',
     )
 
 
@@ -323,7 +326,7 @@ def _rollouts(improvement: Improvement, stages: Sequence[tuple[str, str]]) -> st
     return (
         "<h3>Over longer horizons</h3>"
         f"<p>Open-loop simulation with the recorded inputs, from {last.starts} starts in {blocks} blocks of "
-        "held-out data.</p>"
+        "held-out data. The lower a line, the better the prediction.</p>"
         '<div class="figures thirds" id="rollouts"></div><div class="legend" id="rollout-legend"></div>'
         f"{table([f'Rms error after {last.horizon:g} s', *heads], rows, 'errors')}"
     )
