@@ -85,8 +85,9 @@ def _understeer(shown: Sequence[tuple[Subject, Understeer]], missing: Sequence[s
     note = f"The slope is the understeer gradient (steeper is more understeer): {words}."
     if len(set(ranges)) > 1:
         note += (
-            f" These ranges differ, since gentle cornering (|a_y| up to {shown[0][1].limit:.1f} m/s²) is what each "
-            "recording holds of it. Over different ranges one and the same car may have different slopes."
+            " These ranges differ, since each recording holds gentle cornering of its own "
+            f"(|a_y| up to {shown[0][1].limit:.1f} m/s² counts). Over different ranges one and the same car may have "
+            "different slopes."
         )
     if missing:
         note += f" Too little gentle cornering: {', '.join(missing)}."
