@@ -1,5 +1,6 @@
 """Whether a drive can belong to a vehicle (geometry, grip, mass), and how much of it lies near points of a set."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,15 @@ _ANOTHER_GRIP = 1.4
 #: Ratio of an axle's recorded lateral force to its peak from which on the model slides where the car did not [1]. Noise
 #: and smoothing make some per cent.
 _OVERLOAD = 1.05
+#: Least size of the correlation at which two signals are said to go together, or against each other [1]: half the
+#: variance.
+_TOGETHER = 0.7
+#: Time over which changes of the torque are compared with those of the acceleration [s]: what torque does more slowly,
+#: a hill balances. A driver who gives half of what a hill takes slows down by all of it. Of 96 simulated cruise
+#: controls on hills, acceleration went against the torque by `_TOGETHER` in three, and its changes in none.
+_ANSWER_SECONDS = 2.0
+#: Time over which slopes of v_x and v_y are taken [s]: noise of v_x makes some tenths of m/s^2 of it.
+_SLOPE_SECONDS = 0.2
 _MOST_ROWS = 20_000
 _FEWEST = 200
 #: Scatter of what the torque gives [m/s^2] below which it is rounding, far below what any sensor resolves.
@@ -39,7 +49,7 @@ class Belonging:
     # Largest steady lateral acceleration (99.5 % quantile) over what both axles' peaks allow [1].
     peak: float | None
     # Recorded longitudinal force beyond the resistances of the file over that of the torque, both without their
-    # means [1].
+    # means [1]; below 0 where it slows down by a torque that drives.
     traction: float | None
 
     def contradictions(self) -> tuple[str, ...]:
@@ -48,13 +58,18 @@ class Belonging:
         if self.turning is not None and self.turning < 0.0:
             said.append(
                 f"it turns {-self.turning:.2g} times as fast as this vehicle would, but to the other side than it "
-                "steers: the sign of delta or of r is turned"
+                "steers: the sign of delta or of r is turned, and `scale: -1` in the map turns it back"
             )
         elif self.turning is not None and not 1.0 / _ANOTHER_CAR < self.turning < _ANOTHER_CAR:
             said.append(f"it turns {self.turning:.2g} times as fast for its steer angle as this vehicle would")
         if self.peak is not None and self.peak > _ANOTHER_CAR:
             said.append(f"its lateral acceleration is {self.peak:.2g} times what this vehicle's tyres can carry")
-        if self.traction is not None and not 1.0 / _ANOTHER_CAR < self.traction < _ANOTHER_CAR:
+        if self.traction is not None and self.traction < 0.0:
+            said.append(
+                f"it accelerates {-self.traction:.2g} times as much for its torque as this vehicle would, but to the "
+                "other side: T is positive when braking, and `scale: -1` in the map turns it"
+            )
+        elif self.traction is not None and not 1.0 / _ANOTHER_CAR < self.traction < _ANOTHER_CAR:
             said.append(f"it accelerates {self.traction:.2g} times as much for its torque as this vehicle would")
         return tuple(said)
 
@@ -77,10 +92,11 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
     over 0.2 s and what the nominal model loses to rolling, drag and turned wheels, against T/r_e. Ratios are least
     squares through the origin. The means are taken off the longitudinal forces: at constant speed a torque shows
     resistances alone, of which a file without them says nothing. Those of another car's file are noise: of the ratio
-    with them and the one without, that counts which goes better with the torque.
+    with them and the one without, that counts which goes better with the torque. The sign of T is turned where changes
+    of dv_x/dt - v_y r over 2 s go against those of the torque; that a car slows down while it is driven is a hill.
     """
     model = SingleTrack(vehicle, ())
-    step = max(1, round(0.2 / drive.period))
+    step = max(1, round(_SLOPE_SECONDS / drive.period))
     rows = np.arange(0, max(len(drive) - step, 0), max(1, len(drive) // _MOST_ROWS))
     rows = rows[drive.segment[rows] == drive.segment[rows + step]]
     names = ("vx", "vy", "r", "T", "delta")
@@ -113,10 +129,38 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
         # With effects in the file the plain tyres are not what it says.
         None if vehicle.effects else _ratio(lateral[loaded], nominal[loaded]),
         peak,
-        None
-        if drive.metadata.is_derived("T") or driven.std() < _ROUNDING
-        else _ratio(*max(accounts, key=lambda both: _correlation(*both))),
+        _traction(drive, vehicle, accounts),
     )
+
+
+def _traction(drive: Drive, vehicle: Vehicle, accounts: Sequence[tuple[np.ndarray, np.ndarray]]) -> float | None:
+    """Return `Belonging.traction` of longitudinal accelerations and what the torque makes of them, [m/s^2] (N,) each.
+
+    A torque from a pedal has a size that somebody assumed, so only its sign is judged.
+    """
+    if drive.metadata.torque_follows_motion or any(driven.std() < _ROUNDING for _, driven in accounts):
+        return None
+    levels = None if drive.metadata.is_derived("T") else _ratio(*max(accounts, key=lambda both: _correlation(*both)))
+    if levels is not None:
+        return levels
+    changes = _ratio(*_changes(drive, vehicle), signed=True)
+    return changes if changes is not None and changes < 0.0 else None
+
+
+def _changes(drive: Drive, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Return changes of dv_x/dt - v_y r within a segment, and those that the torque makes, [m/s^2], shape (N,) each."""
+    step, later = (max(1, round(seconds / drive.period)) for seconds in (_SLOPE_SECONDS, _ANSWER_SECONDS))
+    rows = np.arange(0, max(len(drive) - step - later, 0), max(1, len(drive) // _MOST_ROWS))
+    rows = rows[drive.segment[rows] == drive.segment[rows + step + later]]
+    sides = []
+    for at in (rows, rows + later):
+        vx, vy, r, torque = (drive.at(name, at) for name in ("vx", "vy", "r", "T"))
+        along = (drive.at("vx", at + step) - vx) / (step * drive.period) - vy * r
+        slow = vx <= vehicle.minimum_speed
+        sides.append([np.where(slow, np.nan, along), torque / vehicle.wheel_radius / vehicle.mass])
+    recorded, driven = np.subtract(sides[1], sides[0])
+    known = np.isfinite(recorded + driven)
+    return recorded[known], driven[known]
 
 
 def _ratio(recorded: np.ndarray, expected: np.ndarray, *, signed: bool = False) -> float | None:
@@ -124,7 +168,9 @@ def _ratio(recorded: np.ndarray, expected: np.ndarray, *, signed: bool = False) 
     if len(recorded) < _FEWEST or not np.isfinite(recorded).all():
         return None
     together = _correlation(recorded, expected)
-    return float(recorded @ expected / (expected @ expected)) if max(together, -signed * together) >= 0.7 else None
+    if max(together, -signed * together) < _TOGETHER:
+        return None
+    return float(recorded @ expected / (expected @ expected))
 
 
 def _correlation(recorded: np.ndarray, expected: np.ndarray) -> float:
@@ -133,8 +179,13 @@ def _correlation(recorded: np.ndarray, expected: np.ndarray) -> float:
     return float(recorded @ expected) / size if 0.0 < size < np.inf else 0.0
 
 
-def overloaded_axles(drive: Drive, vehicle: Vehicle) -> tuple[str, ...]:
+def overloaded_axles(drive: Drive, vehicle: Vehicle, shown: Belonging) -> tuple[str, ...]:
     """Return in words which axles carried more lateral force on a drive than the file's tyres can give.
+
+    Parameters
+    ----------
+    shown : Belonging
+        What the drive shows of the vehicle's numbers, see `belonging`.
 
     Notes
     -----
@@ -142,7 +193,7 @@ def overloaded_axles(drive: Drive, vehicle: Vehicle) -> tuple[str, ...]:
     taken. There the nominal model slides, and open loop it spins. Effects change what a file's tyres give, and a drive
     of another car is none of this one: nothing is said then.
     """
-    if vehicle.effects or belonging(drive, vehicle).contradictions():
+    if vehicle.effects or shown.contradictions():
         return ()
     runs = [
         MotionRun(drive.period, **{name: drive[name][rows] for name in ("vx", "vy", "r", "T", "delta")})

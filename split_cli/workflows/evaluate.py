@@ -14,7 +14,7 @@ from split_cli.learning.in_memory import train_in_memory
 from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.pieces import features_along
 from split_cli.learning.region import Region
-from split_cli.learning.training_set import SetSource, TrainingSet, read_set
+from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, open_drive
 from split_cli.logs.drive_metadata import ingest_found
@@ -41,6 +41,7 @@ from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.running_trust_on_drive import FollowedPredictor
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
+from split_cli.scoring.vehicle_match import belonging
 from split_cli.scoring.verdict import (
     BlockErrors,
     Comparison,
@@ -63,6 +64,7 @@ from split_cli.workflows.evaluation_notes import (
     overlap_notes,
     same_interval,
     silent_states,
+    sources_not_judged,
     with_measured_error,
 )
 from split_cli.workflows.other_vehicle import trained_for_another
@@ -149,12 +151,12 @@ def evaluate(
         settings = replace(settings, features=(short,), horizon=trained.horizon)
     correct = RecordingCorrection(vehicle)
     drives = [correct(drive) for drive in drives]
-    warnings = vehicle_warnings(drives, vehicle, settings.any_vehicle)
+    fits = [belonging(drive, vehicle) for drive in drives]
+    warnings = vehicle_warnings(drives, vehicle, settings.any_vehicle, fits)
     model = SingleTrack(vehicle)
     labelled_sets, nominal = _labelled_sets(drives, vehicle, settings, trained, progress, engine)
     baselines = [baseline_tallies(h, model, _variance_of(nominal, labelled_sets[0][2])) for h in nominal]
-    scored = _score_predictors(labelled_sets, baselines, settings, progress, engine)
-    scores, traces, tallies, predictors = scored
+    scores, traces, tallies, predictors = _score_predictors(labelled_sets, baselines, settings, progress, engine)
     progress("rollouts")
     rollouts, rollout_scores, rolled = _rollouts(nominal, model, predictors, settings, engine)
     comparisons, verdicts = _comparisons(model, nominal, traces, rolled, settings)
@@ -163,7 +165,7 @@ def evaluate(
     followed = [trace for trace in traces if trace.name.endswith(RUNNING)]
     intervals = interval_shares([*shown, *followed], {name: own for name, _, own in labelled_sets}, RUNNING)
     progress("noise floor")
-    facts = tuple(drive_facts(h, model, trained) for h in nominal)
+    facts = tuple(drive_facts(h, model, trained, one) for h, one in zip(nominal, fits, strict=True))
     report = Evaluation(
         settings=settings,
         vehicle=vehicle.name,
@@ -185,7 +187,11 @@ def evaluate(
             *_notes_of_sets(labelled_sets, settings, trained is None),
             *notes_on_states(drives, trained),
             *correct.notes,
-            *(text for s in _not_judged(trained, drives) for text in ingest_found(s.name, (*s.faults, *s.remarks))),
+            *(
+                text
+                for s in sources_not_judged(trained, drives)
+                for text in ingest_found(s.name, (*s.faults, *s.remarks))
+            ),
             *(note for *_, own in labelled_sets for note in lag_notes(own)),
             *warnings_of(with_measured_error([c for c in comparisons if c.name in settings.predictors], drives)),
             *(interval_warnings(shown, intervals, silent_states(drives, trained)) if trained else ()),
@@ -194,12 +200,6 @@ def evaluate(
     sets = tuple(own for *_, own in labelled_sets)
     drawn_from = tuple(tuple(held) for _, held, _ in labelled_sets)
     return EvaluationRun(report, sets, drawn_from, tuple(traces), tallies, rollouts)
-
-
-def _not_judged(trained: TrainingSet | None, drives: Sequence[Drive]) -> list[SetSource]:
-    """Return the drives of a set whose own notes are not said with those that are judged."""
-    judged = {drive.sha256 for drive in drives}
-    return [source for source in trained.sources if source.sha256 not in judged] if trained else []
 
 
 def _labelled_sets(

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from split_cli.learning.shared_rows import shared_sources
-from split_cli.learning.training_set import TrainingSet
+from split_cli.learning.training_set import SetSource, TrainingSet
 from split_cli.logs.drive import Drive, DriveMetadata, unstated_inputs
 from split_cli.logs.drive_metadata import CIRCULAR
 from split_cli.prediction import PREDICTORS
@@ -16,7 +16,7 @@ from split_cli.scoring.late_inputs import late_inputs
 from split_cli.scoring.noise import fast_motion
 from split_cli.scoring.report import DriveFacts, EvaluationSettings
 from split_cli.scoring.run import DRAWN_ROWS
-from split_cli.scoring.vehicle_match import overloaded_axles, share_beyond
+from split_cli.scoring.vehicle_match import Belonging, overloaded_axles, share_beyond
 from split_cli.scoring.verdict import Comparison
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
@@ -56,7 +56,13 @@ def with_measured_error(comparisons: Sequence[Comparison], drives: Sequence[Driv
     return [c for c in comparisons if c.state not in derived]
 
 
-def drive_facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None) -> DriveFacts:
+def sources_not_judged(trained: TrainingSet | None, drives: Sequence[Drive]) -> list[SetSource]:
+    """Return the drives of a set whose own notes are not said with those that are judged."""
+    judged = {drive.sha256 for drive in drives}
+    return [source for source in trained.sources if source.sha256 not in judged] if trained else []
+
+
+def drive_facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None, shown: Belonging) -> DriveFacts:
     """Return what is said of a drive: its samples, its noise floor, and what makes its scores doubtful."""
     drive, tested = held.drive, held.labels.take(held.tested)
     in_sample = bool(trained and drive.sha256 and any(s.sha256 == drive.sha256 for s in trained.sources))
@@ -65,7 +71,7 @@ def drive_facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet |
     fast = fast_motion(tested, floor)
     notes += [f"{drive.name}: {fast}"] if fast else []
     notes += late_inputs(drive, tested, model.vehicle, trained.found if trained else ())
-    notes += [f"{drive.name}: {said}" for said in overloaded_axles(drive, model.vehicle)]
+    notes += [f"{drive.name}: {said}" for said in overloaded_axles(drive, model.vehicle, shown)]
     notes += [] if trained is None else _outside(drive.name, share_beyond(trained, tested.z))
     return DriveFacts(
         name=drive.name,

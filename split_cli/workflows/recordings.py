@@ -8,7 +8,7 @@ from split_cli.errors import DriveError, SplitError
 from split_cli.learning.features import recording_of
 from split_cli.logs.drive import Drive, open_drive
 from split_cli.logs.track_position import TrackReference, build_reference, track_position
-from split_cli.scoring.vehicle_match import belonging
+from split_cli.scoring.vehicle_match import Belonging, belonging
 from split_cli.vehicle.effects import build_terms
 from split_cli.vehicle.parameters import Vehicle
 
@@ -101,27 +101,32 @@ def usable_drives(
     return usable, tuple(map(str, errors))
 
 
-def vehicle_warnings(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool = False) -> tuple[str, ...]:
+def vehicle_warnings(
+    drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool = False, shown: Sequence[Belonging] | None = None
+) -> tuple[str, ...]:
     """Return warnings about drives that the vehicle can hardly have made.
 
     Parameters
     ----------
     any_vehicle : bool
         Warn, where the drive contradicts the vehicle, instead of refusing.
+    shown : sequence of Belonging, optional
+        What each drive shows of the vehicle's numbers, where that is known already.
 
     Raises
     ------
     DriveError
-        If a drive is of another vehicle: its geometry, grip or mass contradict the file by more than a factor 2.5.
+        If a drive is of another vehicle: its geometry, grip or mass contradict the file by more than a factor 2.5. Or
+        if its steering or torque acts to the other side.
     """
     warnings = []
-    for drive in drives:
-        shown = belonging(drive, vehicle)
-        wrong = "; ".join(shown.contradictions())
+    shown = [belonging(drive, vehicle) for drive in drives] if shown is None else shown
+    for drive, one in zip(drives, shown, strict=True):
+        wrong = "; ".join(one.contradictions())
         if wrong and not any_vehicle:
             advice = "Check vehicle file, units and signs with `split info`, or go on with --any-vehicle."
             raise DriveError(f"is not of the vehicle {vehicle.name!r}: {wrong}", where=drive.name, advice=advice)
         if wrong:
             warnings.append(f"WARNING: {drive.name} is not of the vehicle {vehicle.name!r}: {wrong}")
-        warnings += [f"WARNING: {drive.name}: {doubt}: other tyres, load or road" for doubt in shown.doubts()]
+        warnings += [f"WARNING: {drive.name}: {doubt}: other tyres, load or road" for doubt in one.doubts()]
     return tuple(warnings)

@@ -30,12 +30,12 @@ def test_its_own_vehicle_is_not_doubted(drive):
 def test_an_axle_whose_tyres_the_drive_outdoes_is_named(drive):
     """A rear peak below what the rear axle carried: the model spins there, and every error is that of the spin."""
     car = road_car()
-    assert overloaded_axles(drive, car) == ()
+    assert overloaded_axles(drive, car, belonging(drive, car)) == ()
     weak = replace(car, rear_tire=MagicFormula(car.rear_tire.B / 0.3, car.rear_tire.C, 0.3 * car.rear_tire.D))
-    (said,) = overloaded_axles(drive, weak)
+    (said,) = overloaded_axles(drive, weak, belonging(drive, weak))
     assert said.startswith("its rear axle carried ") and "D of rear_tire is 2040 N" in said
     changed = weak.with_effects(EffectSpec("friction_scale", {"scale": 3.0}))
-    assert overloaded_axles(drive, changed) == ()
+    assert overloaded_axles(drive, changed, belonging(drive, changed)) == ()
 
 
 def test_a_car_of_another_size_is_refused_and_with_the_flag_warned_of(drive):
@@ -148,3 +148,42 @@ def test_the_resistances_of_another_cars_file_do_not_hide_that_its_mass_is_anoth
     assert belonging(own, light).traction == pytest.approx(120.0 / road_car().mass, rel=0.3)
     with pytest.raises(DriveError, match="times as much for its torque"):
         vehicle_warnings([own], light)
+
+
+def with_torque(drive, values, kind="command"):
+    metadata = replace(drive.metadata, kinds={**drive.metadata.kinds, "T": kind})
+    return replace(drive, columns={**drive.columns, "T": values}, metadata=metadata)
+
+
+@pytest.mark.parametrize("kind", ["command", "derived: from throttle, of no car in particular"])
+def test_a_torque_that_is_positive_when_braking_is_refused_with_its_remedy(drive, kind):
+    """A set of it learned twice the torque as a correction; a pedal has an assumed size, but a sign like any other."""
+    turned = with_torque(drive, -drive["T"], kind)
+    with pytest.raises(DriveError, match="T is positive when braking, and `scale: -1` in the map turns it") as refused:
+        vehicle_warnings([turned], road_car())
+    assert "\n" not in str(refused.value)
+    assert belonging(turned, road_car()).traction == pytest.approx(-1.0, abs=0.1)
+    assert vehicle_warnings([with_torque(drive, drive["T"], kind)], road_car()) == ()
+
+
+def test_a_torque_that_was_derived_from_the_motion_has_no_sign_of_its_own(drive):
+    turned = with_torque(drive, -drive["T"], "derived: torque from measured a_x by the nominal model of test car")
+    assert belonging(turned, road_car()).traction is None
+
+
+def test_a_driver_who_gives_half_of_what_a_hill_takes_has_no_turned_torque():
+    """Uphill he drives and slows down: levels go against the torque by 0.7 and more, what his foot does with it."""
+    car = road_car(drag_coefficient=0.0, rolling_resistance_front=0.0, rolling_resistance_rear=0.0)
+    rng = np.random.default_rng(3)
+    period, rows = 0.05, 12_000
+    t = period * np.arange(rows)
+    hill = 0.6 * np.sin(2.0 * np.pi * t / 60.0)  # [m/s^2] that the slope takes
+    foot = 0.08 * np.repeat(rng.standard_normal(rows // 30), 30)  # steps of 1.5 s
+    given = 0.5 * hill + foot
+    vx = 25.0 + period * np.cumsum(given - hill)
+    vx -= np.polyval(np.polyfit(t, vx, 1), t) - 25.0  # the random walk that steps add up to
+    still = 0.0 * t
+    columns = {"t": t, "vx": vx, "vy": still, "r": still, "T": given * car.mass * car.wheel_radius, "delta": still}
+    hilly = Drive("hills.parquet", columns, np.zeros(rows, np.int32), period)
+    assert np.corrcoef(np.gradient(vx, period), given)[0, 1] < -0.7
+    assert vehicle_warnings([hilly], car) == ()
