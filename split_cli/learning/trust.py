@@ -8,6 +8,8 @@ import numpy as np
 
 from split_cli.learning.kernel import OUTPUTS
 
+#: What the outputs of a set correct, in their order.
+STATES = ("v_x", "v_y", "r")
 ORIGINS = ("full", "given", "held-out", "unjudged")
 
 

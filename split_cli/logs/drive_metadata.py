@@ -1,10 +1,10 @@
 """What a drive's file says beside its samples: sources, noise, kinds of channels, how it was made."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import pyarrow as pa
 import pyarrow.parquet
@@ -153,6 +153,25 @@ class DriveMetadata:
     def noise_of(self, channel: str) -> NoiseEstimate | None:
         """Return the noise estimate of a channel, None when ingest made none."""
         return next((estimate for estimate in self.noise if estimate.channel == channel), None)
+
+
+class SaysNothing(Protocol):
+    """A drive, its labels or a source of a set: what knows of which states it says nothing."""
+
+    @property
+    def circular(self) -> tuple[str, ...]:
+        """Keys of `CIRCULAR`."""
+
+
+def circular_in_any(drives: Iterable[SaysNothing]) -> tuple[str, ...]:
+    """Return the states of which at least one of the drives says nothing, keys of `CIRCULAR`: no error is judged."""
+    found = {state for drive in drives for state in drive.circular}
+    return tuple(state for state in CIRCULAR if state in found)
+
+
+def circular_in_all(drives: Sequence[SaysNothing]) -> tuple[str, ...]:
+    """Return the states of which no drive says anything, keys of `CIRCULAR`: nothing can be learned. None of none."""
+    return tuple(state for state in CIRCULAR if drives and all(state in drive.circular for drive in drives))
 
 
 def ingest_found(name: str, clauses: Sequence[str]) -> tuple[str, ...]:

@@ -8,7 +8,8 @@ from scipy.special import ndtri, stdtrit
 
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.training_set import TrainingSet
-from split_cli.learning.trust import Trust, kept_share
+from split_cli.learning.trust import STATES, Trust, kept_share
+from split_cli.logs.drive_metadata import circular_in_all
 from split_cli.scoring.evidence import FEWEST_BLOCKS, HORIZONS, TrainingDrive, TrustEvidence, held_out_evidence
 
 #: One-sided level of 95 %: a gain within chance is not believed. Of Student's t with many blocks; with few blocks
@@ -61,11 +62,17 @@ def judge_correction(
     Judgement
         With the trust ``unjudged`` and 0 when the drives are too short for five blocks: what no held-out driving
         speaks for is not applied.
+
+    Notes
+    -----
+    A state of which no drive says anything (`logs.drive_metadata.CIRCULAR`) has no correction.
     """
     # Not with the default predictor: the trust it finds of itself did more harm on other drives (decision 0030).
     evidence, blocks = held_out_evidence(drives, empty, "rbcm", progress)
     if blocks < FEWEST_BLOCKS:
         return Judgement(Trust((0.0, 0.0, 0.0), "unjudged", blocks), -np.inf, None)
+    unknown = circular_in_all([part.drive.metadata for part in drives])
+    most = [0.0 if state in unknown else largest for state, largest in zip(STATES, most, strict=True)]
     share, gain = best_trust(evidence, most)
     doubt = doubt_from(evidence, share, empty.kernel)
     needed = None if share.any() else driving_needed(evidence, most)

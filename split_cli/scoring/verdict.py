@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.learning.labels import Labels
+from split_cli.learning.trust import STATES
 from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, HeldOutSamples
 from split_cli.scoring.persistence import velocity_persistence_errors
 from split_cli.scoring.trust import NEGLIGIBLE
 from split_cli.vehicle.single_track import SingleTrack
 
-STATES = ("v_x", "v_y", "r")
 #: Shortest block of time whose errors count as independent of the next one's [s]: twice the longest rollout.
 _BLOCK_SECONDS = 4.0
 _MOST_BLOCKS = 40

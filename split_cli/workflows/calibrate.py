@@ -10,7 +10,7 @@ from split_cli.errors import DriveError, SplitError
 from split_cli.files import atomic_path, refuse_overwriting_inputs
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.scoring.splits import hold_out_blocks
-from split_cli.vehicle.calibration.calibrate import Calibration, CalibrationSettings, calibrate_vehicle
+from split_cli.vehicle.calibration.calibrate import ACROSS, ALONG, Calibration, CalibrationSettings, calibrate_vehicle
 from split_cli.vehicle.calibration.samples import MotionRun
 from split_cli.vehicle.converters import Conversion, convert_parameters
 from split_cli.vehicle.parameter_export import ForeignParameters, foreign_parameters
@@ -50,7 +50,7 @@ def calibrate_files(
     measured_lateral_acceleration : bool
         Take the channel ``ay`` in place of v_y' + v_x r: right on a banked road.
     only_what_can_be_fitted : bool
-        Leave drag and rolling resistance out, with a note, where the torque was derived with those of the file.
+        Leave drag and rolling resistance out, with a note, where all torques were derived with those of the file.
 
     Raises
     ------
@@ -61,35 +61,67 @@ def calibrate_files(
     if output is not None:
         refuse_overwriting_inputs(drives, output)
     vehicle = read_vehicle(start)
-    runs, used, follows, assumed = [], [], set(), set()
+    runs, used, silent = [], [], []
     for path in drives:
         drive = read_drive(path)
         found = motion_runs(drive, training_blocks, measured_lateral_acceleration)
         runs += found
         used.append(DriveUse(drive.name, drive.sha256, sum(len(run.vx) * run.period for run in found)))
-        if drive.metadata.torque_follows_motion:
-            follows.add(drive.name)
-        if drive.metadata.sideslip_is_of_tires:
-            assumed.add(drive.name)
-    if assumed and "tires" in settings.parts:
-        what = "r and v_y were derived with the rear tyres of the vehicle file; they cannot determine tyres"
-        advice = "Take a drive with a gyro or a heading, and a recorded or integrated v_y."
-        raise DriveError(what, where=", ".join(sorted(assumed)), advice=advice)
-    notes: tuple[str, ...] = ()
-    if follows and only_what_can_be_fitted and "tires" in settings.parts:
-        settings = replace(settings, parts=tuple(p for p in settings.parts if p not in ("drag", "rolling")))
-        what = f"the torque of {', '.join(sorted(follows))} was derived with those of the vehicle file"
-        notes = (f"drag and rolling resistance are not fitted: {what}",)
-    if follows and {"drag", "rolling"} & set(settings.parts):
-        what = (
-            "the torque was derived from the motion with drag and rolling resistance of the vehicle file, or the "
-            "drive does not say from what; it cannot determine them"
-        )
-        raise DriveError(what, where=", ".join(sorted(follows)), advice="Calibrate the tyres alone: --fit tires.")
-    calibration = replace(calibrate_vehicle(runs, vehicle, settings), notes=notes)
+        silent.append((drive.name, _silent_parts(drive)))
+    settings, notes = _what_can_be_fitted(settings, silent, only_what_can_be_fitted)
+    calibration = calibrate_vehicle(runs, vehicle, settings)
+    calibration = replace(calibration, notes=(*notes, *calibration.notes))
     if output is not None:
         write_vehicle(calibration.vehicle, output, comment=_provenance(used, settings, training_blocks))
     return calibration, tuple(used)
+
+
+def _silent_parts(drive: Drive) -> frozenset[str]:
+    """Return of which parts a drive says nothing, since a channel was derived with those of the vehicle file."""
+    across = ACROSS if drive.metadata.sideslip_is_of_tires else ()
+    return frozenset((*across, *(ALONG if drive.metadata.torque_follows_motion else ())))
+
+
+def _what_can_be_fitted(
+    settings: CalibrationSettings, silent: Sequence[tuple[str, frozenset[str]]], give_up_resistance: bool
+) -> tuple[CalibrationSettings, tuple[str, ...]]:
+    """Return the settings without parts of which no drive says anything, and notes on drives left out for a part.
+
+    Raises
+    ------
+    DriveError
+        If no drive says anything of a group of parts. Drag and rolling resistance may be given up instead, where
+        something else is asked for.
+    """
+    notes: list[str] = []
+    for group, what, why, advice in (
+        (
+            ACROSS,
+            "tyres are fitted without {names}",
+            "r and v_y were derived with the rear tyres of the vehicle file; they cannot determine tyres",
+            "Take a drive with a gyro or a heading, and a recorded or integrated v_y.",
+        ),
+        (
+            ALONG,
+            "drag and rolling resistance are fitted without {names}",
+            "the torque was derived from the motion with drag and rolling resistance of the vehicle file, or the "
+            "drive does not say from what; it cannot determine them",
+            "Calibrate the tyres alone: --fit tires.",
+        ),
+    ):
+        without = [name for name, parts in silent if parts & set(group)]
+        if not without or not set(group) & set(settings.parts):
+            continue
+        names = ", ".join(sorted(without))
+        if len(without) < len(silent):
+            notes.append(f"{what.format(names=names)}: {why}")
+        elif group is ALONG and give_up_resistance and "tires" in settings.parts:
+            settings = replace(settings, parts=tuple(part for part in settings.parts if part not in ALONG))
+            why = f"the torque of {names} was derived with those of the vehicle file"
+            notes.append(f"drag and rolling resistance are not fitted: {why}")
+        else:
+            raise DriveError(why, where=names, advice=advice)
+    return settings, tuple(notes)
 
 
 def motion_runs(
@@ -110,7 +142,7 @@ def motion_runs(
     for rows in drive.segments():
         columns = {name: drive[name][rows] for name in ("vx", "vy", "r", "T", "delta")}
         ay = drive["ay"][rows] if measured_lateral_acceleration else None
-        runs.append(MotionRun(drive.period, **columns, ay=ay))
+        runs.append(MotionRun(drive.period, **columns, ay=ay, silent=_silent_parts(drive)))
     return runs
 
 

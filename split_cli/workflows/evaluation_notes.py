@@ -7,7 +7,7 @@ import numpy as np
 from split_cli.learning.shared_rows import shared_sources
 from split_cli.learning.training_set import SetSource, TrainingSet
 from split_cli.logs.drive import Drive, DriveMetadata, unstated_inputs
-from split_cli.logs.drive_metadata import CIRCULAR
+from split_cli.logs.drive_metadata import CIRCULAR, circular_in_any
 from split_cli.prediction import PREDICTORS
 from split_cli.scoring.circular import limits_of, unknown_to
 from split_cli.scoring.evaluation import HeldOutSamples, pooled_noise_floor
@@ -29,12 +29,10 @@ def same_interval(held: HeldOutSamples, first: HeldOutSamples) -> bool:
 
 def derived_states(drives: Iterable[DriveMetadata]) -> dict[str, str]:
     """Return the states whose error says nothing, since an input or they were made of the model itself, and why."""
-    circular = {state for one in drives for state in one.circular}
     return {
-        state: f"{why}, so errors and intervals of {state} say nothing of the car. Verdicts leave {state} out; norm "
-        "and skill contain it"
-        for state, why in CIRCULAR.items()
-        if state in circular
+        state: f"{CIRCULAR[state]}, so errors and intervals of {state} say nothing of the car. Verdicts leave {state} "
+        "out; norm and skill contain it"
+        for state in circular_in_any(drives)
     }
 
 

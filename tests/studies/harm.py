@@ -4,7 +4,8 @@
     python -m tests.studies.harm --datasets DATASETS --parts recordings,fresh,natural,dirt --work FOLDER
 
 Every set is trained by `split train` on one part of what was recorded and judged by `split evaluate --set` on
-another: another drive of the same car, or the other half of the same one. Nothing is chosen on what is judged.
+another: another drive of the same car, or the other half of the same one. Nothing is chosen on what is judged. States
+of which the judged drive says nothing, such as v_x where T was derived from the motion, have empty entries.
 *Fresh* drives are simulated for this study. With ``--work``, drives, sets and judgements stay in that folder, and
 a run that was ended goes on where it was. docs/records/harm_of_pairs.md holds the table of every pair.
 """
@@ -151,7 +152,11 @@ def judgement(pair: Pair, predictors: str, folder: Path, features: str = "z2") -
             "evaluate", str(pair.judges), "--set", str(made), "--predictor", predictors, "--any-vehicle", "--json"
         )
         found.write_text(told, encoding="utf-8")
-    return json.loads(found.read_text(encoding="utf-8"))
+    report = json.loads(found.read_text(encoding="utf-8"))
+    # As verdicts do: with a torque that was derived from the motion the nominal model repeats the recorded v_x.
+    silent = read_drive(pair.judges).metadata.circular
+    report["comparisons"] = [row for row in report["comparisons"] if row["state"] not in silent]
+    return report
 
 
 def pairs(parts: list[str], folder: Path, datasets: Path | None, first_seed: int) -> Iterator[Pair]:

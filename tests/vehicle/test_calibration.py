@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.errors import VehicleError
-from split_cli.vehicle.calibration.calibrate import CalibrationSettings, _kept_where_open, calibrate_vehicle
+from split_cli.vehicle.calibration.calibrate import ALONG, CalibrationSettings, _kept_where_open, calibrate_vehicle
 from split_cli.vehicle.calibration.curve import fit_force_curve
 from split_cli.vehicle.calibration.least_squares import block_weights, robust_scale, solve
 from split_cli.vehicle.calibration.resistance import fit_resistance
@@ -130,6 +130,65 @@ def test_torque_that_arrives_in_part_is_told(road_car, gentle_run):
     found = calibrate_vehicle([weaker], road_car, CalibrationSettings(parts=("drag", "rolling")))
     assert found.resistance.torque_gain[0] == pytest.approx(0.9, abs=0.01)
     assert any("times T/r_e" in remark for remark in found.remarks)
+
+
+def slopes_of(vehicle):
+    return [tire.cornering_stiffness for tire in (vehicle.front_tire, vehicle.rear_tire)]
+
+
+def test_wind_that_the_model_does_not_know_leaves_the_resistances_alone_and_the_tyres_are_taken(road_car, gentle_run):
+    """Gusts of 800 N for 10 s from ahead, then from behind: what one block tells is wrong for the next."""
+    gusts = np.where(np.arange(len(gentle_run.vx)) * PERIOD % 20.0 < 10.0, 800.0, -800.0)
+    blown = replace(gentle_run, T=gentle_run.T + gusts * road_car.wheel_radius)
+    guess = a_guess(road_car)
+    start = replace(road_car, front_tire=guess.front_tire, rear_tire=guess.rear_tire)
+    found = calibrate_vehicle([blown], start, CalibrationSettings(draws=0))
+    assert slopes_of(found.vehicle) == pytest.approx(slopes_of(road_car), rel=0.01)
+    kept = ("drag_coefficient", "rolling_resistance_front", "rolling_resistance_rear")
+    assert [getattr(found.vehicle, key) for key in kept] == [getattr(start, key) for key in kept]
+    assert found.resistance.determined == () and found.vehicle.origins.get("drag_coefficient") != "calibrated"
+    assert any("stay as in the start file: on held-out blocks" in remark for remark in found.remarks)
+
+
+def test_a_sensor_ahead_of_its_place_leaves_the_tyres_alone_and_the_resistances_are_taken(road_car, gentle_run):
+    guess = replace(a_guess(road_car), yaw_inertia=road_car.yaw_inertia)
+    ahead = replace(gentle_run, vy=gentle_run.vy + 3.0 * gentle_run.r)
+    # What v_y r has too much goes for the speed's own change.
+    right = replace(ahead, vx=gentle_run.vx + 3.0 * PERIOD * np.cumsum(gentle_run.r**2))
+    found = calibrate_vehicle([right], guess, CalibrationSettings(draws=0))
+    assert slopes_of(found.vehicle) == slopes_of(guess) and not any(curve.determined for curve in found.curves)
+    rolling = found.vehicle.rolling_resistance_front + found.vehicle.rolling_resistance_rear
+    assert set(found.resistance.determined) == {"drag", "rolling"} and rolling == pytest.approx(170.0, abs=40.0)
+
+
+def test_a_group_that_cannot_be_fitted_does_not_take_the_other_one_along(road_car, gentle_run):
+    guess = replace(a_guess(road_car), yaw_inertia=road_car.yaw_inertia)
+    never_straight = CalibrationSettings(max_lateral_acceleration=1e-3, draws=0)
+    found = calibrate_vehicle([gentle_run], guess, never_straight)
+    assert slopes_of(found.vehicle) == pytest.approx(slopes_of(road_car), rel=0.01)
+    assert found.resistance is None and found.vehicle.drag_coefficient == 0.0
+    (said,) = found.notes
+    assert said.startswith("not fitted, and as in the start file: drag and rolling resistance, since ")
+    # The tyres the same, and their stiffness is marked as left open, so that nobody is sent to calibrate again.
+    nowhere = CalibrationSettings(max_longitudinal_acceleration=1e-4, draws=0)
+    found = calibrate_vehicle([gentle_run], guess, nowhere)
+    assert slopes_of(found.vehicle) == slopes_of(guess) and found.vehicle.has_calibrated_tires
+    assert found.vehicle.drag_coefficient == pytest.approx(road_car.drag_coefficient, rel=0.1)
+    with pytest.raises(VehicleError, match="too few for the front tyres"):
+        calibrate_vehicle([gentle_run], guess, replace(nowhere, parts=("tires",)))
+    with pytest.raises(VehicleError, match="too few for the front tyres"):
+        calibrate_vehicle([gentle_run], guess, replace(nowhere, max_lateral_acceleration=1e-3))
+
+
+def test_a_run_that_says_nothing_of_the_resistances_is_left_out_of_them_alone(road_car, gentle_run):
+    """Its torque was derived with the resistances of the file: with it they would come out as they are there."""
+    guess = replace(a_guess(road_car), yaw_inertia=road_car.yaw_inertia)
+    derived = replace(gentle_run, T=gentle_run.T + 500.0, silent=frozenset(ALONG))
+    settings = CalibrationSettings(draws=0)
+    alone, both = (calibrate_vehicle(runs, guess, settings) for runs in ([gentle_run], [gentle_run, derived]))
+    assert both.resistance.rolling == pytest.approx(alone.resistance.rolling, rel=0.02)
+    assert both.curves[0].samples > 1.9 * alone.curves[0].samples
+    assert both.resistance.samples == alone.resistance.samples
 
 
 def test_a_drive_at_one_speed_leaves_drag_open(road_car, gentle_run):

@@ -38,8 +38,8 @@ class StateChange:
 class CorrectedVehicle:
     """The vehicle file with the findings of the car, compared with the given one on held-out time."""
 
-    # Every velocity after one step of 0.05 s and at the longest horizon that fits, 2 s at most. Where a torque was
-    # derived from the motion, v_x is not among them.
+    # Every velocity after one step of 0.05 s and at the longest horizon that fits, 2 s at most, without those of which
+    # a drive says nothing (`logs.drive_metadata.CIRCULAR`).
     states: tuple[StateChange, ...]
     # Values by term in the file: those of the findings refitted without other parts, see `heldout.fitted_alone`.
     values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

@@ -9,6 +9,7 @@ from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors, St
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, StateChange
 from split_cli.diagnosis.statement.wording import STATES
 from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, blocks_of_time, in_standard_errors
+from split_cli.logs.drive_metadata import circular_in_any
 from split_cli.vehicle.effects import Term
 
 _STEP = 0.05  # [s]
@@ -35,8 +36,9 @@ def judge_corrected(
     Notes
     -----
     A vehicle file is used without the simulation, so the shared discrepancy is left out. A state is worse if its
-    squared error increased by more than 1.96 standard errors, estimated over blocks of time. v_x is left out if a
-    torque was derived from the motion: the nominal model then repeats the recorded v_x, whatever car drove.
+    squared error increased by more than 1.96 standard errors, estimated over blocks of time. A state is left out if a
+    drive says nothing of it. With a torque that was derived from the motion the nominal model repeats the recorded v_x,
+    whatever car drove; with a v_y that the rear tyres of the vehicle file gave, that v_y.
     """
     car = tuple(term for term in terms if term.exported)
     if not car:
@@ -51,9 +53,9 @@ def judge_corrected(
     if not runs:
         return None
     last = max(len(one.horizons) for one in runs) - 1
-    derived = any("v_x" in one.series.drive.metadata.circular for one, _ in recordings)
-    states = [_states_at(runs, k)[1 if derived else 0 :] for k in dict.fromkeys((0, last))]
-    return CorrectedVehicle(tuple(one for several in states for one in several))
+    derived = circular_in_any([one.series.drive.metadata for one, _ in recordings])
+    states = (state for k in dict.fromkeys((0, last)) for state in _states_at(runs, k))
+    return CorrectedVehicle(tuple(state for state in states if state.channel not in derived))
 
 
 def _states_at(runs: Sequence[RolloutErrors], k: int) -> list[StateChange]:

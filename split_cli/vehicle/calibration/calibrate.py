@@ -22,6 +22,15 @@ from split_cli.vehicle.tire import MagicFormula, lateral_force
 
 _OPEN_SLOPE = 0.25
 PARTS = ("tires", "drag", "rolling", "splits", "inertia")
+#: The two groups of them: what acts across the car, and along it.
+ACROSS, ALONG = ("tires", "splits", "inertia"), ("drag", "rolling")
+_WORDS = {
+    "tires": "tyres",
+    "splits": "torque splits",
+    "inertia": "yaw inertia",
+    "drag": "drag",
+    "rolling": "rolling resistance",
+}
 
 
 @dataclass(frozen=True)
@@ -93,16 +102,78 @@ def calibrate_vehicle(
     Raises
     ------
     VehicleError
-        If too little of the drives can be used.
+        If too little of the drives can be used for any group.
+
+    Notes
+    -----
+    There are two groups: what acts across the car (tyres, splits, inertia), and drag with rolling resistance. Each is
+    fitted to the runs that say something of it. A group that cannot be fitted, or that held-out blocks do not support,
+    stays as in the start with a remark, and the other one is taken all the same.
     """
     settings = settings or CalibrationSettings()
+    samples = _samples(runs, start, settings)
+
+    def samples_of(parts: Sequence[str]) -> MotionSamples:
+        telling = [run for run in runs if not run.silent & set(parts)]
+        return samples if len(telling) == len(runs) else _samples(telling, start, settings)
+
+    across, along = ([part for part in group if part in settings.parts] for group in (ACROSS, ALONG))
+    vehicle, resistance = start, None
+    curves: tuple[ForceCurve, ...] = ()
+    estimates: tuple[IntervalEstimate, ...] = ()
+    gentle, failed = _gentle(samples, settings), []
+    try:
+        if across:
+            turning = samples_of(across)
+            gentle = _gentle(turning, settings)
+            curves, estimates, vehicle = _fit_across(turning, start, settings)
+    except VehicleError as error:
+        failed.append((across, error))
+    try:
+        if along:
+            resistance, vehicle = _fit_resistance(samples_of(along), vehicle, settings)
+    except VehicleError as error:
+        failed.append((along, error))
+    if len(failed) == bool(across) + bool(along):
+        raise failed[0][1]
+    front, rear = axle_lateral_forces(gentle, vehicle)
+    return Calibration(
+        vehicle=_rounded(_marked(vehicle, curves, resistance, estimates, open_tires="tires" in across and not curves)),
+        curves=curves,
+        resistance=resistance,
+        estimates=estimates,
+        samples=len(samples),
+        blocks=len(np.unique(samples.block)),
+        slip_front=gentle.slip_front,
+        force_front=front,
+        slip_rear=gentle.slip_rear,
+        force_rear=rear,
+        notes=tuple(_stays(parts, error) for parts, error in failed),
+    )
+
+
+def _samples(runs: Sequence[MotionRun], start: Vehicle, settings: CalibrationSettings) -> MotionSamples:
+    """Return the samples of runs above the minimum speed."""
     samples = motion_samples(runs, start, smoothing=settings.smoothing)
     samples = samples.where(samples.vx >= start.minimum_speed)
     if not len(samples):
         what = f"the drives never reach {start.minimum_speed:.2g} m/s, the minimum speed"
         raise VehicleError(what, advice="Add faster drives. It follows from the wheelbase.")
-    vehicle = start
-    gentle = _gentle(samples, settings)
+    return samples
+
+
+def _stays(parts: Sequence[str], error: VehicleError) -> str:
+    """Return in words what stays as in the start, and why."""
+    *first, last = (_WORDS[part] for part in parts)
+    named = f"{', '.join(first)} and {last}" if first else last
+    return f"not fitted, and as in the start file: {named}, since {error.what}"
+
+
+def _fit_across(
+    samples: MotionSamples, start: Vehicle, settings: CalibrationSettings
+) -> tuple[tuple[ForceCurve, ...], tuple[IntervalEstimate, ...], Vehicle]:
+    """Return curves, splits and yaw inertia as they are asked for, and the vehicle with them."""
+    vehicle, gentle = start, _gentle(samples, settings)
     curves: tuple[ForceCurve, ...] = ()
     estimates: tuple[IntervalEstimate, ...] = ()
     # What turning shows changes the forces that the curves are fitted to, and the other way round: three rounds.
@@ -118,22 +189,7 @@ def calibrate_vehicle(
         if "inertia" in asked:
             estimates += (estimate_yaw_inertia(gentle, vehicle),)
         vehicle = with_estimates(vehicle, estimates)
-    resistance = None
-    if {"drag", "rolling"} & set(settings.parts):
-        resistance, vehicle = _fit_resistance(samples, vehicle, settings)
-    front, rear = axle_lateral_forces(gentle, vehicle)
-    return Calibration(
-        vehicle=_rounded(_marked(vehicle, curves, resistance, estimates)),
-        curves=curves,
-        resistance=resistance,
-        estimates=estimates,
-        samples=len(samples),
-        blocks=len(np.unique(samples.block)),
-        slip_front=gentle.slip_front,
-        force_front=front,
-        slip_rear=gentle.slip_rear,
-        force_rear=rear,
-    )
+    return curves, estimates, vehicle
 
 
 def _gentle(samples: MotionSamples, settings: CalibrationSettings) -> MotionSamples:
@@ -263,9 +319,16 @@ def _marked(
     curves: tuple[ForceCurve, ...],
     resistance: Resistance | None,
     estimates: tuple[IntervalEstimate, ...],
+    *,
+    open_tires: bool = False,
 ) -> Vehicle:
-    """Mark what was calibrated, and what was given in its place, with a note of how well it is known."""
+    """Mark what was calibrated, and what was given in its place, with a note of how well it is known.
+
+    With `open_tires` tyres were asked for, and could not be fitted.
+    """
     origins, notes = dict(vehicle.origins), dict(vehicle.notes)
+    if open_tires:
+        notes |= {f"{axle}_tire.B": LEFT_OPEN for axle in ("front", "rear")}
 
     def mark(key: str, origin: str, note: str = "") -> None:
         origins[key] = origin

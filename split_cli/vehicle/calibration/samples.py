@@ -28,6 +28,7 @@ class MotionRun:
     delta: np.ndarray
     # (N,): measured lateral specific force [m/s^2] where it is to be used; None takes v_y' + v_x r.
     ay: np.ndarray | None = None
+    silent: frozenset[str] = frozenset()  # of `calibrate.PARTS`: of which the drive says nothing
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """A new set before it learns: grid, kernel and trust, from the labels of its drives."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,8 +23,8 @@ from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.set_limits import MOST_CELLS_OF_A_GRID
 from split_cli.learning.training_set import TrainingSet
-from split_cli.learning.trust import Trust
-from split_cli.logs.drive_metadata import CIRCULAR
+from split_cli.learning.trust import STATES, Trust
+from split_cli.logs.drive_metadata import CIRCULAR, circular_in_all
 from split_cli.logs.scratch import in_pieces, selected
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive, held_out_whole
 from split_cli.scoring.found_lags import Prepared, decide, lag_notes
@@ -64,10 +65,8 @@ def create_set(drives: LabelledDrives, settings: TrainSettings) -> tuple[Trainin
             drives = given.labelled_for(empty.vehicle)
             blank, fit = _blank(drives, settings)
             empty = replace(blank, trust=empty.trust, found_effects=empty.found_effects)
-        follows = all(part.drive.metadata.torque_follows_motion for part in chosen.drives)
-        if follows and empty.trust.share[0] > 0.0:
-            empty = replace(empty, trust=replace(empty.trust, share=(0.0, *empty.trust.share[1:])))
-        drives.note(*lag_notes(empty), *trust_notes(empty.trust, follows))
+        unknown = circular_in_all([part.drive.metadata for part in chosen.drives])
+        drives.note(*lag_notes(empty), *trust_notes(empty.trust, unknown))
         if chosen.needed is not None:
             seconds = sum(len(part.drive) * part.drive.period for part in chosen.drives)
             drives.note(
@@ -236,24 +235,24 @@ def parse_trust(text: str) -> Trust:
         raise SetError(f"the trust {text!r} cannot be read", advice=advice) from None
 
 
-def trust_notes(trust: Trust, torque_follows_motion: bool = False) -> list[str]:
+def trust_notes(trust: Trust, unknown: Sequence[str] = ()) -> list[str]:
     """Return what the reader of a training must know of its trust.
 
     Parameters
     ----------
-    torque_follows_motion : bool
-        T was derived from the motion: what v_x lacks is what the derivation got wrong, and is not applied.
+    unknown : sequence of str
+        States of which no drive says anything, keys of `CIRCULAR`: what they lack is what a derivation got wrong, and
+        is not applied.
     """
     if trust.origin == "unjudged":
         return [
             "the drives are too short to judge the correction on held-out blocks, so none of it is applied; "
             "record more driving, or pass --trust full"
         ]
-    left_out = [n for n, share in zip(("v_x", "v_y", "r"), trust.share, strict=True) if share == 0.0]
-    notes = []
-    if torque_follows_motion and left_out[:1] == ["v_x"]:
-        left_out = left_out[1:]
-        notes.append(f"no correction of v_x is applied: {CIRCULAR['v_x']}")
+    left_out = [
+        state for state, share in zip(STATES, trust.share, strict=True) if share == 0.0 and state not in unknown
+    ]
+    notes = [f"no correction of {state} is applied: {CIRCULAR[state]}" for state in unknown]
     if not left_out:
         return notes
     return [
