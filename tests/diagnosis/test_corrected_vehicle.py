@@ -26,6 +26,7 @@ from split_cli.diagnosis.verdict.corrected_vehicle import judge_corrected
 from split_cli.diagnosis.verdict.held_out_judgement import HeldOutFit, HeldOutJudgement, with_nameless_parts
 from split_cli.diagnosis.verdict.held_out_split import HeldOut
 from split_cli.diagnosis.verdict.label_errors import in_standard_errors
+from split_cli.logs.drive_metadata import OF_REAR_TIRES
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Range
 from split_cli.vehicle.parameters import read_vehicle
@@ -60,15 +61,22 @@ def test_true_physics_is_accepted_and_its_opposite_is_worse(judged):
     assert far.corrected == pytest.approx(2.0 * far.nominal, rel=0.1)
 
 
-def test_a_derived_torque_leaves_the_speed_out():
+@pytest.mark.parametrize(
+    ("kinds", "judged"),
+    [
+        ({"T": "derived from v_x by the nominal model"}, ["v_y", "r"]),
+        ({"vy": f"derived: from a_y {OF_REAR_TIRES}"}, ["v_x", "r"]),
+    ],
+)
+def test_what_was_derived_by_the_model_leaves_its_state_out(kinds, judged):
     """A nominal model with a torque that was computed from v_x repeats v_x, so any resistance would seem wrong."""
     evidence = recorded(11, (resistance(450.0),))
-    kinds = {**evidence.series.drive.metadata.kinds, "T": "derived from v_x by the nominal model"}
+    kinds = {**evidence.series.drive.metadata.kinds, **kinds}
     drive = replace(evidence.series.drive, metadata=replace(evidence.series.drive.metadata, kinds=kinds))
     derived = replace(evidence, series=replace(evidence.series, drive=drive))
     held = evidence.series.t > 0.75 * evidence.series.t[-1]
     wrong = judge_corrected([(derived, held)], (resistance(-450.0),))
-    assert [one.channel for one in wrong.states] == ["v_y", "r"] * 2
+    assert [one.channel for one in wrong.states] == judged * 2
 
 
 def test_nothing_of_the_car_is_nothing_to_objective(judged):

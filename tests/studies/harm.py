@@ -357,11 +357,11 @@ def summary(reports: list[dict], predictor: str) -> list[str]:
         found = [row for row in found if row["to_nominal"][1] is not None]  # fewer than four blocks judge nothing
         worse = [row for row in found if is_worse(row)]
         better = sum(row["to_nominal"][2] < 1.0 for row in found)
-        largest = max((row["to_nominal"][0] for row in worse), default=float("nan"))
+        largest = f"at most {max(row['to_nominal'][0] for row in worse):.3f} times its error" if worse else "none"
         mean = float(np.exp(np.mean(np.log([row["to_nominal"][0] for row in found]))))
         told.append(
             f"- {name}: of {len(found)} states and horizons {len(worse)} are worse than the nominal model beyond "
-            f"chance (at most {largest:.3f} times its error), {better} better; geometric mean of the ratios "
+            f"chance ({largest}), {better} better; geometric mean of the ratios "
             f"{mean:.3f}. Were the {len(found) - better} that are not better without any effect, "
             f"{0.025 * (len(found) - better):.1f} would count as worse. With intervals that hold for all at once "
             f"{len(worse_at_once(found))} do."
