@@ -133,6 +133,7 @@ def command(
     shared.tell_next(unseen, before="on a drive that was not learned, ")
     if all(path.is_file() and ".labels" not in path.name for path in drives):
         held_out = ["split", "evaluate", *drives, "--vehicle", vehicle_path, "-o", figures]
+        held_out += ["--keep-going"] if result.failures else []
         shared.tell_next(
             held_out,
             before=f"or, if there is none, on held-out parts of {'these' if len(drives) > 1 else 'this one'}, ",

@@ -268,7 +268,7 @@ def _read_table(path: Path) -> pa.Table:
     except (pa.ArrowInvalid, pa.ArrowException, OSError, ValueError) as error:
         reason = reason_of(error)
         if "magic bytes not found" in reason:
-            reason = "it is no Parquet file"
+            reason = "it is a trained set" if path.suffix == ".split" else "it is no Parquet file"
         advice = f"A drive is the Parquet that `split ingest` writes. {_MAKE_A_DRIVE}"
         if "CRC" in reason:
             reason, advice = "its content does not match its checksums", "Copy it or ingest its log again."

@@ -52,24 +52,29 @@ class Belonging:
     # means [1]; below 0 where it slows down by a torque that drives.
     traction: float | None
 
-    def contradictions(self) -> tuple[str, ...]:
-        """Return what no recording of this vehicle can show, in words."""
+    def turned_signs(self) -> tuple[str, ...]:
+        """Return which channels have the opposite sign, in words."""
         said = []
         if self.turning is not None and self.turning < 0.0:
             said.append(
                 f"it turns {-self.turning:.2g} times as fast as this vehicle would, but to the other side than it "
-                "steers: the sign of delta or of r is turned, and `scale: -1` in the map turns it back"
+                "steers: the sign of delta or of r is turned"
             )
-        elif self.turning is not None and not 1.0 / _ANOTHER_CAR < self.turning < _ANOTHER_CAR:
-            said.append(f"it turns {self.turning:.2g} times as fast for its steer angle as this vehicle would")
-        if self.peak is not None and self.peak > _ANOTHER_CAR:
-            said.append(f"its lateral acceleration is {self.peak:.2g} times what this vehicle's tyres can carry")
         if self.traction is not None and self.traction < 0.0:
             said.append(
                 f"it accelerates {-self.traction:.2g} times as much for its torque as this vehicle would, but to the "
-                "other side: T is positive when braking, and `scale: -1` in the map turns it"
+                "other side: T is positive when braking"
             )
-        elif self.traction is not None and not 1.0 / _ANOTHER_CAR < self.traction < _ANOTHER_CAR:
+        return tuple(said)
+
+    def contradictions(self) -> tuple[str, ...]:
+        """Return what no recording of this vehicle can show, in words."""
+        said = [*self.turned_signs()]
+        if self.turning is not None and self.turning >= 0.0 and not 1.0 / _ANOTHER_CAR < self.turning < _ANOTHER_CAR:
+            said.append(f"it turns {self.turning:.2g} times as fast for its steer angle as this vehicle would")
+        if self.peak is not None and self.peak > _ANOTHER_CAR:
+            said.append(f"its lateral acceleration is {self.peak:.2g} times what this vehicle's tyres can carry")
+        if self.traction is not None and self.traction >= 0.0 and not 1.0 / _ANOTHER_CAR < self.traction < _ANOTHER_CAR:
             said.append(f"it accelerates {self.traction:.2g} times as much for its torque as this vehicle would")
         return tuple(said)
 

@@ -122,11 +122,16 @@ def vehicle_warnings(
     warnings = []
     shown = [belonging(drive, vehicle) for drive in drives] if shown is None else shown
     for drive, one in zip(drives, shown, strict=True):
-        wrong = "; ".join(one.contradictions())
-        if wrong and not any_vehicle:
+        contradictions = one.contradictions()
+        signs_only = contradictions == one.turned_signs()
+        verb = "contradicts" if signs_only else "is not of"
+        wrong = f"{verb} the vehicle {vehicle.name!r}: {'; '.join(contradictions)}"
+        if contradictions and not any_vehicle:
             advice = "Check vehicle file, units and signs with `split info`, or go on with --any-vehicle."
-            raise DriveError(f"is not of the vehicle {vehicle.name!r}: {wrong}", where=drive.name, advice=advice)
-        if wrong:
-            warnings.append(f"WARNING: {drive.name} is not of the vehicle {vehicle.name!r}: {wrong}")
+            if signs_only:
+                advice = "Turn it with `scale: -1` in the map, and ingest again; or go on with --any-vehicle."
+            raise DriveError(wrong, where=drive.name, advice=advice)
+        if contradictions:
+            warnings.append(f"WARNING: {drive.name} {wrong}")
         warnings += [f"WARNING: {drive.name}: {doubt}: other tyres, load or road" for doubt in one.doubts()]
     return tuple(warnings)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from split_cli.learning.cells import empty_set
 from split_cli.learning.features import Z2
@@ -10,6 +11,7 @@ from split_cli.learning.hyperparameters import default_kernel, scatter_variance
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import z2_grid
+from split_cli.logs.drive_metadata import OF_REAR_TIRES, WITHOUT_GYRO
 from split_cli.scoring.evidence import TrainingDrive, TrustEvidence, held_out_evidence, held_out_whole
 from split_cli.scoring.trust import (
     best_trust,
@@ -19,6 +21,7 @@ from split_cli.scoring.trust import (
     judge_correction,
     own_shares,
 )
+from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import MissingForce, make_drive, road_car
 
 BLOCKS, EACH = 20, 100
@@ -130,6 +133,24 @@ def test_on_a_drive_a_missing_force_is_trusted_and_noise_is_not():
     }
     plain = type(plain)(plain.name, {**plain.columns, **noisy}, plain.segment, plain.period)
     assert max(trust_of(plain).share) <= 0.1
+
+
+@pytest.mark.parametrize(
+    ("kinds", "state"),
+    [
+        ({"T": "derived: torque from measured a_x by the nominal model of test car"}, 0),
+        ({"vy": f"derived: r and v_y {WITHOUT_GYRO} {OF_REAR_TIRES}"}, 1),
+    ],
+)
+def test_a_state_of_which_no_drive_says_anything_is_not_corrected(kinds, state):
+    """The force acts on v_y and r alone, and v_x has one of its own: all three are trusted of a measured drive."""
+    terms = [MissingForce({"front_lateral": 600.0}), CATALOGUE["rolling_resistance"]({"force": 900.0})]
+    drives, empty = asked_of(make_drive(0, segments=12, terms=terms))
+    metadata = replace(drives[0].drive.metadata, kinds=kinds)
+    derived = [replace(drives[0], drive=replace(drives[0].drive, metadata=metadata))]
+    shares = [judge_correction(one, empty).trust.array for one in (drives, derived)]
+    others = np.arange(3) != state
+    assert shares[0][state] > 0.5 and shares[1][state] == 0.0 and shares[1][others].max() > 0.5
 
 
 def test_of_three_drives_each_is_held_out_whole():

@@ -159,7 +159,9 @@ def with_torque(drive, values, kind="command"):
 def test_a_torque_that_is_positive_when_braking_is_refused_with_its_remedy(drive, kind):
     """A set of it learned twice the torque as a correction; a pedal has an assumed size, but a sign like any other."""
     turned = with_torque(drive, -drive["T"], kind)
-    with pytest.raises(DriveError, match="T is positive when braking, and `scale: -1` in the map turns it") as refused:
+    with pytest.raises(
+        DriveError, match=r"T is positive when braking\. Turn it with `scale: -1` in the map"
+    ) as refused:
         vehicle_warnings([turned], road_car())
     assert "\n" not in str(refused.value)
     assert belonging(turned, road_car()).traction == pytest.approx(-1.0, abs=0.1)

@@ -101,15 +101,15 @@ def _front_slides(v: Mapping[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
 
 def _contradiction(drive: Drive, vehicle: Vehicle, ratio: float, *, steering: bool) -> str:
     """Return in words by how much steering or torque contradicts a vehicle file."""
+    sign = "" if ratio > 0.0 else " Its sign may be turned." if steering else " The sign of T may be turned."
     if steering:
-        sign = " Its sign may be turned." if ratio < 0.0 else ""
         return (
             f"{drive.name} does not fit this vehicle file: in gentle turns it steers {ratio:.2g} times what a "
             f"wheelbase of {vehicle.wheelbase:.2f} m needs.{sign} Is it a recording of this car?"
         )
     return (
         f"{drive.name} does not fit this vehicle file: torque accelerates it {ratio:.2g} times as much as a "
-        f"mass of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would. Is it a recording of "
+        f"mass of {vehicle.mass:.4g} kg on wheels of {vehicle.wheel_radius:.3g} m would.{sign} Is it a recording of "
         "this car?"
     )
 

@@ -93,9 +93,10 @@ def fit_resistance(
         )
     held_out = _held_out(design, against, start, wanted, samples.block)
     if wanted and held_out.calibrated >= held_out.start:
+        named = " and ".join(("rolling resistance", "drag")[index] for index in sorted(wanted, reverse=True))
         remarks.append(
-            f"drag and rolling resistance stay as in the start file: on held-out blocks the error of the fit is "
-            f"{held_out.calibrated:.4g} N, and that of the start file {held_out.start:.4g} N"
+            f"{named} kept as in the start file: on held-out blocks the error is {held_out.start:.4g} N with it, and "
+            f"{held_out.calibrated:.4g} N with the fit"
         )
         wanted = []
     final = _fit(design, against, start, wanted) if wanted else both
