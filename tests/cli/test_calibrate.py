@@ -13,7 +13,9 @@ from split_cli.cli.calibrate import command
 from split_cli.cli.main import group
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
 from split_cli.scoring.splits import hold_out_blocks
+from split_cli.vehicle.calibration.calibrate import CalibrationSettings
 from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.calibrate import calibrate_files
 from tests.cli.hostile import refused
 
 
@@ -174,6 +176,20 @@ def test_only_a_torque_that_was_derived_from_the_motion_cannot_give_resistances(
         assert result.exit_code == 0, result.output
         found.append(json.loads(result.stdout)["resistance"])
     assert found[0] == found[1]
+
+
+def test_beside_a_drive_with_a_torque_the_others_give_what_they_can(sample_logs, tmp_path):
+    drive = read_drive(sample_logs / "f1tenth_car_tests.parquet")
+    paths = [tmp_path / "commanded.parquet", tmp_path / "derived.parquet"]
+    for path, kind in zip(paths, ("command", "derived: from acceleration"), strict=True):
+        write_drive(
+            Drive(path.name, drive.columns, drive.segment, drive.period, DriveMetadata(kinds={"T": kind})), path
+        )
+    settings = CalibrationSettings(parts=("drag", "rolling"))
+    start = sample_logs / "f1tenth_car_start.yaml"
+    alone, both = (calibrate_files(given, start, None, settings)[0] for given in (paths[:1], paths))
+    assert both.resistance.drag == alone.resistance.drag and both.resistance.samples == alone.resistance.samples
+    assert both.remarks[0].startswith("drag and rolling resistance are fitted without derived.parquet: the torque was")
 
 
 def test_convert_writes_a_vehicle_and_tells_the_deviation(tmp_path):
