@@ -7,10 +7,11 @@ from scipy.special import ndtri, stdtrit
 
 from split_cli.learning.running_width import RunningWidth
 from split_cli.learning.training_set import TrainingSet
+from split_cli.learning.trust import STATES
 from split_cli.scoring.report import IntervalShares
 from split_cli.scoring.run import Trace
 from split_cli.scoring.vehicle_match import near_points
-from split_cli.scoring.verdict import STATES, number_blocks
+from split_cli.scoring.verdict import number_blocks
 
 _LEVEL = 0.95
 _LEVELS = (0.5, 0.9, _LEVEL)

@@ -201,7 +201,14 @@ def overloaded_axles(drive: Drive, vehicle: Vehicle, shown: Belonging) -> tuple[
     if vehicle.effects or shown.contradictions():
         return ()
     runs = [
-        MotionRun(drive.period, **{name: drive[name][rows] for name in ("vx", "vy", "r", "T", "delta")})
+        MotionRun(
+            drive.period,
+            vx=drive["vx"][rows],
+            vy=drive["vy"][rows],
+            r=drive["r"][rows],
+            T=drive["T"][rows],
+            delta=drive["delta"][rows],
+        )
         for rows in drive.segments()
     ]
     try:
