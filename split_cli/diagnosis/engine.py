@@ -136,6 +136,7 @@ def diagnose(
     not_judged = (*notes, *what_was_not_excited(case.real, vehicle, share, policy), *((_FAR,) if is_far else ()))
     candidates = _candidates(case, vehicle, policy)
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
+    case = outcome.case or case
     if outcome.self_test.ratio > policy.selection.much_over_noise:
         not_judged += (much_form_error_in_words(vehicle),)
     # A scale error that a named sensor fault explains is no contradiction any more.

@@ -1,20 +1,25 @@
 """How rates answer to deviations of the velocities: against differences of the model that has the memory itself."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.evidence import gather_evidence
 from split_cli.diagnosis.innovations.linearisation import linearise
 from split_cli.diagnosis.innovations.objective import build_objective
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.series import Series, build_series, extended_model
+from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
-from split_cli.vehicle.effects.recording import over_samples
+from split_cli.vehicle.effects.recording import first_order_from_means, over_samples
 from split_cli.vehicle.integration import Situation, integrate_with_memory
 from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle
@@ -27,6 +32,12 @@ SMALL = read_vehicle(Path(__file__).resolve().parents[2] / "sample_logs" / "f1te
 SMALL_NOISE = np.array([0.012, 0.010, 0.02])
 
 
+@cache
+def nominal_drive() -> Series:
+    """Return a scripted drive of the nominal car."""
+    return noisy_series(CAR, (), 41, "sim")
+
+
 def relaxation(length: float) -> Term:
     return CATALOGUE["tire_relaxation"]({"length": length})
 
@@ -34,7 +45,7 @@ def relaxation(length: float) -> Term:
 @pytest.mark.parametrize("length", [0.0, 0.1, 0.3, 2.0])
 def test_it_is_the_derivative_of_a_model_with_memory(length):
     """By central differences of the model's rates along the recording, at a deviation that changes slowly."""
-    series = noisy_series(CAR, (), 41, "sim")
+    series = nominal_drive()
     model = extended_model(CAR, (relaxation(length),))
     t = series.t[:, None]
     deviation = np.hstack([0.5 * np.sin(1.3 * t), np.sin(4.0 * t + 0.3), 0.2 * np.cos(2.0 * t)])
@@ -46,8 +57,151 @@ def test_it_is_the_derivative_of_a_model_with_memory(length):
     assert np.std((found - expected)[inside], axis=0) == pytest.approx(0.0, abs=0.02 * np.std(expected[inside]))
 
 
+BENT = (CATALOGUE["tire_stiffness"]({"front_scale": 1.3, "rear_scale": 1.3}), CATALOGUE["yaw_inertia"]({"scale": 0.85}))
+
+
+@pytest.mark.parametrize("length", [0.0, 0.4])
+def test_it_is_the_derivative_of_a_model_with_found_terms(length):
+    """By central differences of rates of the model with them, velocity by velocity."""
+    series, late = nominal_drive(), (relaxation(length),)
+    found = linearise(CAR, series, (*late, *BENT))
+    plain = SingleTrack(CAR, BENT)
+    at = (*series.predicted.T, series.torque, series.steer_angle)
+    steps = 1e-5 * np.eye(3)
+    expected = np.stack(
+        [
+            np.stack([ahead - behind for ahead, behind in zip(*pair, strict=True)], axis=-1) / 2e-5
+            for pair in (
+                [plain.velocity_derivative(*(series.predicted + side * step).T, *at[3:]) for side in (1.0, -1.0)]
+                for step in steps
+            )
+        ],
+        axis=-1,
+    )
+    assert found.jacobian == pytest.approx(expected, rel=1e-4, abs=1e-4)
+    assert np.abs(found.jacobian - linearise(CAR, series, late).jacobian).max() > 1.0
+    assert found.rate is None or found.immediate == pytest.approx(linearise(CAR, series, late).immediate, abs=1e-6)
+
+
+def test_held_inputs_lead_over_a_sample_as_the_matrix_exponential_does():
+    """y' = A y + b with constant b: y_1 - y_0 = h phi_1(h A) f_0, and f = A (y_0 + y_1)/2 + b halfway."""
+    series = nominal_drive()
+    found = linearise(CAR, series)
+    assert found.over_sample is not None and len(found.over_sample) == len(series) - 1
+    for k in (0, 300, 1700):
+        A = 0.5 * (found.jacobian[k] + found.jacobian[k + 1])
+        begin, b = np.array([1.0, -0.4, 0.2]), np.array([0.3, 5.0, -8.0])
+        system = np.zeros((4, 4))
+        system[:3, :3], system[:3, 3] = A, b
+        end = (expm(series.period * system) @ np.append(begin, 1.0))[:3]
+        halfway = series.period * (A @ (begin + end) / 2.0 + b)
+        assert found.over_sample[k] @ halfway == pytest.approx(end - begin, rel=1e-9, abs=1e-12)
+        # The rule of trapezia, without that factor, errs by a share of (h A)^2/12.
+        assert np.abs(halfway - (end - begin)).max() > 0.003 * np.abs(end - begin).max()
+
+
+def test_a_step_within_a_sample_adds_the_moment_of_its_place():
+    """y' = A y + b u, and u steps after 3 ms of 10 ms: with the moment a twentieth of the error is left."""
+    series = nominal_drive()
+    found = linearise(CAR, series)
+    A, h, ahead = 0.5 * (found.jacobian[300] + found.jacobian[301]), series.period, 0.003
+    b, begin = np.array([0.1, 90.0, 60.0]), np.array([0.0, 0.3, -0.2])
+    system = np.zeros((4, 4))
+    system[:3, :3], system[:3, 3] = A, b
+    halfway_through = (expm(ahead * system) @ np.append(begin, 0.0))[:3]  # u = 0, then 1
+    end = (expm((h - ahead) * system) @ np.append(halfway_through, 1.0))[:3]
+    mean, moment = (h - ahead) / h, -ahead * (h - ahead) / (2.0 * h**2)
+    without = (end - begin) - found.over_sample[300] @ (h * (A @ (begin + end) / 2.0 + b * mean))
+    left = without - h**2 * A @ b * moment
+    assert np.linalg.norm(left) < 0.06 * np.linalg.norm(without)
+
+
+def test_moments_of_late_commands():
+    """Late by 1.3 samples: a step comes after three tenths of a sample. A lag makes a saw tooth of every step."""
+    series, h = nominal_drive(), 0.01
+    inside = np.zeros(len(series), dtype=bool)
+    for begin, end in series.recording.segments:
+        inside[begin + 60 : end - 1] = True
+    delta = series.steer_angle
+    late = series.steer_moment(CAR, (CATALOGUE["steer_delay"]({"delay": 0.013}),))
+    expected = -(np.roll(delta, 1) - np.roll(delta, 2)) * 0.3 * 0.7 / 2.0
+    assert late[inside] == pytest.approx(expected[inside], abs=0.07 * np.abs(expected).max())
+    # With the lag, delta(s) = U - (U - u_0) exp(-s/tau) from u_0 at the begin of a sample.
+    tau, moments = 0.02, series.steer_moment(CAR, (CATALOGUE["steer_lag"]({"tau": 0.02}),))
+    at_begin = first_order_from_means(delta, 1.0 / tau, series.recording)
+    s = (np.arange(2000) + 0.5) / 2000 * h
+    shape = np.exp(-s / tau)
+    tooth = np.mean((s - h / 2.0) * (shape - shape.mean())) / h
+    expected = (delta - at_begin) * tooth
+    assert moments[inside] == pytest.approx(expected[inside], abs=0.07 * np.abs(expected[inside]).max())
+
+
+def test_steering_that_arrives_evenly_has_no_moment():
+    series, late = nominal_drive(), CATALOGUE["steer_delay"]({"delay": 0.013})
+    drive = Drive(series.drive.name, series.drive.columns, series.drive.segment, series.period)
+    assert replace(series, drive=drive).steer_moment(CAR, (late,)) is None
+    assert series.steer_moment(CAR, (CATALOGUE["steer_gain"]({"gain": 0.9}),)) is None
+    assert linearise(CAR, series, (relaxation(0.4),)).of_moment(series.steer_moment(CAR, (late,))) == 0.0
+
+
+def test_what_a_rad_adds_is_the_jacobian_times_the_derivative_by_the_steer_angle():
+    series, step = nominal_drive(), 1e-5
+    found, at = linearise(CAR, series), (*series.predicted.T, series.torque)
+    ahead, behind = (
+        np.stack(SingleTrack(CAR).velocity_derivative(*at, series.steer_angle + side * step)) for side in (1.0, -1.0)
+    )
+    expected = np.einsum("nij,jn->ni", found.jacobian, (ahead - behind) / (2.0 * step))
+    assert found.by_steer == pytest.approx(expected, rel=1e-5, abs=1e-3)
+
+
+@pytest.mark.parametrize("late", [(), (relaxation(0.4),)])
+def test_inputs_that_go_on_between_samples_and_late_forces_turn_slowly(late):
+    series = nominal_drive()
+    drive = Drive(series.drive.name, series.drive.columns, series.drive.segment, series.period)
+    continuous = replace(series, drive=drive)
+    assert linearise(CAR, continuous, late).over_sample is None
+    assert (linearise(CAR, series, late).over_sample is None) == bool(late)
+
+
+def test_it_is_taken_at_the_commands_that_arrive():
+    """Behind a lag and a gain: that of the model without them at such commands."""
+    series = nominal_drive()
+    acting = (CATALOGUE["steer_lag"]({"tau": 0.2}), CATALOGUE["drive_gain"]({"drive_gain": 0.8, "brake_gain": 0.8}))
+    torque, steer = series.inputs(SingleTrack(CAR, acting), series.predicted)
+    expected = SingleTrack(CAR).velocity_jacobian(*series.predicted.T, torque, steer)
+    assert linearise(CAR, series, acting).jacobian == pytest.approx(expected)
+    assert np.abs(linearise(CAR, series).jacobian - expected).max() > 1.0
+
+
+def test_sensor_faults_are_no_part_of_the_model():
+    series, faults = (
+        nominal_drive(),
+        [CATALOGUE["yaw_rate_bias"]({"bias": 0.1}), CATALOGUE["speed_scale"]({"scale": 1.1})],
+    )
+    assert np.array_equal(linearise(CAR, series, faults).jacobian, linearise(CAR, series).jacobian)
+
+
+@pytest.mark.parametrize("seed", [71, 72])
+def test_values_are_right_on_rows_about_what_was_found(seed):
+    """About the nominal model the truth costs 1,400 more than other values, and stiffness and inertia are 3 % off."""
+    series = noisy_series(CAR, BENT, seed, "real")
+    starts = {one.term: one for one in build_candidates(CAR, series) if one.variant == ""}
+    begin = [Part(starts[one.id], starts[one.id].starts[0]) for one in BENT]
+    case, excess, inertia, rear = gather_case(CAR, [series]), [], [], []
+    for one in (case, case.gathered_about(BENT, STANDARD.comparison.reach)):
+        objective = build_objective(one.real, None, one.discrepancy, one.keep)
+        fit = fit_parts(objective, begin)
+        stiffer, slower = (part.term.parameters for part in fit.parts)
+        rear.append(stiffer["rear_scale"] / 1.3)
+        inertia.append(slower["scale"] / 0.85)
+        excess.append(objective.cost(BENT) - fit.cost)
+    assert excess[0] > 1000.0 and abs(rear[0] - 1.0) > 0.025 and abs(inertia[0] - 1.0) > 0.025
+    # Three parameters would save 3 by chance.
+    assert excess[1] < 40.0 and rear[1] == pytest.approx(1.0, abs=0.012) and inertia[1] == pytest.approx(1.0, abs=0.006)
+
+
 def test_a_force_that_builds_up_within_a_quarter_of_a_sample_does_so_at_once():
-    series = noisy_series(CAR, (), 41, "sim")
+    series = nominal_drive()
     by_length = {length: linearise(CAR, series, (relaxation(length),)) for length in (0.0, 0.03, 0.3)}
     speed = float(np.median(series.predicted[:, 0]))
     assert speed * series.period / 4.0 == pytest.approx(0.05, abs=0.015)  # [m]
@@ -57,7 +211,7 @@ def test_a_force_that_builds_up_within_a_quarter_of_a_sample_does_so_at_once():
 
 def test_lateral_forces_alone_build_up():
     """Of v_x' = ... + v_y r and v_y' = ... - v_x r the products answer at once, and so does drag."""
-    series = noisy_series(CAR, (), 41, "sim")
+    series = nominal_drive()
     vx, vy, r = series.predicted.T
     zero = np.zeros(len(series))
     drag = -2.0 * CAR.drag_coefficient * vx / CAR.mass
@@ -67,7 +221,7 @@ def test_lateral_forces_alone_build_up():
 
 def test_a_relaxation_of_the_vehicle_file_counts():
     late = CAR.with_effects(EffectSpec("tire_relaxation", {"length": 0.4}))
-    series = noisy_series(CAR, (), 41, "sim")
+    series = nominal_drive()
     own, given = linearise(late, series), linearise(CAR, series, (relaxation(0.4),))
     assert own.immediate == pytest.approx(given.immediate) and own.rate == pytest.approx(given.rate)
 

@@ -19,12 +19,12 @@ def jacobians(count: int, rng: np.random.Generator) -> np.ndarray:
     return base + 0.5 * rng.standard_normal((count, 3, 3))
 
 
-def linearised(A: np.ndarray, rate: float = 0.0) -> Linearisation:
+def linearised(A: np.ndarray, rate: float = 0.0, over: np.ndarray | None = None) -> Linearisation:
     """Matrices of which the lower two rows are forces that build up at a rate [1/s]; 0 if they do at once."""
     rows, immediate = len(A), A.copy()
     immediate[:, 1:] *= 0.3
     rates = rate * (1.0 + 0.2 * np.sin(np.arange(rows))) if rate else None
-    return Linearisation(A, immediate, rates, Recording.single(PERIOD, rows))
+    return Linearisation(A, immediate, rates, Recording.single(PERIOD, rows), over)
 
 
 def model_of(A: np.ndarray, rate: float = 0.0) -> NoiseModel:
@@ -32,7 +32,7 @@ def model_of(A: np.ndarray, rate: float = 0.0) -> NoiseModel:
 
 
 def dense_covariance(linear: Linearisation) -> np.ndarray:
-    """Covariance of z_k = w_k + n_{k+1} - n_k - (h/2) (a_k + a_{k+1}), a the answer to the noise, as one matrix."""
+    """Covariance of z_k = w_k + n_{k+1} - n_k - P (h/2) (a_k + a_{k+1}), a the answer to the noise, as one matrix."""
     n = len(linear.jacobian)
     mix = np.empty((3 * (n - 1), 3 * n))
     for k in range(3 * n):
@@ -40,21 +40,26 @@ def dense_covariance(linear: Linearisation) -> np.ndarray:
         noise[k] = 1.0
         noise = noise.reshape(n, 3)
         answer = linear.of_deviation(noise)
-        mix[:, k] = (np.diff(noise, axis=0) - 0.5 * PERIOD * (answer[1:] + answer[:-1])).ravel()
+        halfway = 0.5 * PERIOD * (answer[1:] + answer[:-1])
+        over = halfway if linear.over_sample is None else np.einsum("nij,nj->ni", linear.over_sample, halfway)
+        mix[:, k] = (np.diff(noise, axis=0) - over).ravel()
     shaken = np.kron(np.eye(n - 1), np.diag(DISTURBANCE * PERIOD))
     return mix @ np.kron(np.eye(n), np.diag(NOISE**2)) @ mix.T + shaken
 
 
-@pytest.mark.parametrize("rate", [0.0, 4.0, 40.0, 900.0])
-def test_costs_are_those_of_the_dense_gaussian(rate):
+@pytest.mark.parametrize(("rate", "turns"), [(0.0, False), (0.0, True), (4.0, False), (40.0, False), (900.0, False)])
+def test_costs_are_those_of_the_dense_gaussian(rate, turns):
     rng = np.random.default_rng(4)
     A = jacobians(40, rng)
     begins = np.zeros(39, dtype=bool)
     begins[0] = True
-    model = model_of(A, rate)
+    # Strongly turning rates: of a deviation halfway up to a third is gone within the sample.
+    over = np.eye(3) - 0.3 * rng.random((39, 3, 3)) if turns else None
+    linear = linearised(A, rate, over)
+    model = noise_model(linear)
     whitener = build_whitener(model, NOISE, DISTURBANCE, PERIOD, begins, np.arange(39))
     z = rng.standard_normal((39, 3)) * 0.03
-    covariance = dense_covariance(linearised(A, rate))
+    covariance = dense_covariance(linear)
     expected = z.ravel() @ np.linalg.solve(covariance, z.ravel()) + np.linalg.slogdet(covariance)[1]
     # Both are sums of some hundred terms of order one; the recursion is exact, not approximate.
     cost = cost_by_disturbance(z, model, NOISE, PERIOD, begins)(DISTURBANCE)

@@ -47,7 +47,7 @@ class DiagnosisCase:
     keep_holdout: tuple[np.ndarray, ...] = ()
     # The simulated recordings, whitened with the noise and disturbance of the real ones.
     rewhitened: tuple[Evidence, ...] = ()
-    # Terms of the model that predicts states from earlier samples, see `gather_evidence`.
+    # Terms of the model that predicts states of the real recordings and is linearised there, see `gather_evidence`.
     predicting: tuple[Term, ...] = ()
 
     def compared(self, reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
@@ -65,14 +65,30 @@ class DiagnosisCase:
 
     def recorded_as(self, series: Sequence[Series], reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case with other real recordings, whitened and compared in the same way, and the same witnesses."""
-        real = map_in_threads(
-            lambda one: _gathered(
-                self.vehicle, one, self.discrepancy, self.simulated, policy.believing, self.predicting
-            ),
-            series,
-        )
+        real = self._gathered(series, policy.believing)
         keep = (comparable(one, self.simulated, self.discrepancy, reach, policy) for one in real)
         return replace(self, real=tuple(real), keep=tuple(keep))
+
+    def gathered_about(self, terms: Sequence[Term], reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
+        """Return the case whose real recordings are whitened about a model of these terms, see `gather_evidence`.
+
+        Models are evaluated at predicted states, and a linearisation leads from there to the measured ones. A car that
+        is damped in another way than the nominal model answers differently to the noise of these states. Predicted by
+        the nominal model, and with that model linearised, a part of the noise looks like an effect.
+        """
+        found = tuple(term for term in terms if term.exported and term.moves_car)
+        if not found:
+            return self
+        case = replace(self, predicting=(*self.discrepancy.shared_terms, *found))
+        real, holdout = (
+            case._gathered([one.series for one in several], policy.believing) for several in (self.real, self.holdout)
+        )
+        return replace(case, real=tuple(real), holdout=tuple(holdout)).compared(reach, policy)
+
+    def _gathered(self, series: Sequence[Series], rules: Believing) -> list[Evidence]:
+        """Whiten real recordings in the way of this case."""
+        asked = self.discrepancy, self.simulated, rules, self.predicting
+        return map_in_threads(lambda one: _gathered(self.vehicle, one, *asked), series)
 
     def judged_with_residue(self) -> DiagnosisCase:
         """Return the case whose late channels are shifted as a whole, for steps that fit no delay.

@@ -36,7 +36,7 @@ class Evidence:
 
     vehicle: Vehicle
     series: Series
-    linear: Linearisation  # of the nominal model at the predicted states
+    linear: Linearisation  # of the nominal model, or of one with the terms found so far, at the predicted states
     whitener: Whitener
     nominal_rows: np.ndarray  # (G, 3): whitened rows against the nominal model with the shared terms
     discrepancy: np.ndarray  # (G, 3, C): whitened columns of the shared discrepancy
@@ -75,15 +75,19 @@ class Evidence:
 
         Notes
         -----
-        z_k = y_{k+1} - y_k - h f - (h/2) (a_k + a_{k+1}), with y the measured velocities, f the model's rates at the
-        predicted ones and h the sample period. a is the answer of the nominal model to the deviation d, measured less
-        predicted: A d, or what has built up of it (`Linearisation.of_deviation`).
+        z_k = y_{k+1} - y_k - P (h f + (h/2) (a_k + a_{k+1})), with y the measured velocities, f the model's rates at
+        the predicted ones and h the sample period. a is the answer of the linearised model to the deviation d, measured
+        less predicted: A d, or what has built up of it (`Linearisation.of_deviation`). P leads from rates halfway to
+        the motion over the sample (`Linearisation.over_sample`). A steer angle that changes within a sample adds
+        `Linearisation.of_moment`.
         """
         measured, predicted = self.series.evaluated(terms)
-        rates = self.series.rates(extended_model(self.vehicle, (*terms, *self.shared_terms)), predicted)
+        every = (*terms, *self.shared_terms)
+        rates = self.series.rates(extended_model(self.vehicle, every), predicted)
         if discrepancy_rates is not None:
             rates = rates + discrepancy_rates
-        return self._moved(measured, predicted) - integrated(self.series, rates)
+        late = self.linear.of_moment(self.series.steer_moment(self.vehicle, every))
+        return self._moved(measured, predicted) - integrated(self.series, rates, self.linear) - late
 
     def _moved(self, measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         # The velocities are kept in the cache, so that their ids stay unique.
@@ -100,7 +104,7 @@ def motion(series: Series, linear: Linearisation, measured: np.ndarray, predicte
     Parameters
     ----------
     linear : Linearisation
-        Of the nominal model at the predicted states.
+        Of a model at the predicted states.
     measured, predicted : ndarray, shape (N, 3)
 
     Notes
@@ -109,21 +113,34 @@ def motion(series: Series, linear: Linearisation, measured: np.ndarray, predicte
     noise enters linearly, as the whitener assumes.
     """
     carried = linear.of_deviation(measured - predicted)
-    out = np.diff(measured, axis=0) - 0.5 * series.period * (carried[1:] + carried[:-1])
+    halfway = 0.5 * series.period * (carried[1:] + carried[:-1])
+    out = np.diff(measured, axis=0) - _over_sample(linear, halfway)
     out[~series.inside()] = 0.0
     return out
 
 
-def integrated(series: Series, columns: np.ndarray) -> np.ndarray:
-    """Return rates (N, ...) in the middle of samples times the period, shape (N - 1, ...); 0 over gaps."""
+def integrated(series: Series, columns: np.ndarray, linear: Linearisation | None = None) -> np.ndarray:
+    """Return rates (N, 3, ...) in the middle of samples times the period, shape (N - 1, 3, ...); 0 over gaps.
+
+    With a linearisation, the rates are those of a model, which change during a sample as it says.
+    """
     out = series.period * columns[:-1]
     out[~series.inside()] = 0.0
-    return out
+    return out if linear is None else _over_sample(linear, out)
 
 
-def _integrated_blocks(series: Series, discrepancy: SharedDiscrepancy) -> Iterator[np.ndarray]:
+def _over_sample(linear: Linearisation, halfway: np.ndarray) -> np.ndarray:
+    """Return motion (N - 1, 3, ...) over each sample from that by rates halfway."""
+    if linear.over_sample is None:
+        return halfway
+    if halfway.ndim == 2:
+        return np.einsum("nij,nj->ni", linear.over_sample, halfway)
+    return linear.over_sample @ halfway
+
+
+def _integrated_blocks(series: Series, discrepancy: SharedDiscrepancy, linear: Linearisation) -> Iterator[np.ndarray]:
     """Yield the discrepancy's columns integrated over each transition, a few at a time, (N - 1, 3, c)."""
-    return (integrated(series, block) for block in discrepancy.blocks(series))
+    return (integrated(series, block, linear) for block in discrepancy.blocks(series))
 
 
 def _whitened_blocks(whitener: Whitener, blocks: Iterable[np.ndarray]) -> np.ndarray:
@@ -154,7 +171,8 @@ def gather_evidence(
     linear = linearise(vehicle, series, predicting)
     model = noise_model(linear)
     rates = series.rates(extended_model(vehicle, discrepancy.shared_terms))
-    plain = motion(series, linear, series.measured, series.predicted) - integrated(series, rates)
+    late = linear.of_moment(series.steer_moment(vehicle, discrepancy.shared_terms))
+    plain = motion(series, linear, series.measured, series.predicted) - integrated(series, rates, linear) - late
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)
@@ -162,17 +180,17 @@ def gather_evidence(
     kept[group[(group >= 0) & ~(rolls & _has_settled(series, predicting, rules))[:-1]]] = False
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
     held = discrepancy.size(series) <= _KEPT_BYTES
-    held_blocks = list(_integrated_blocks(series, discrepancy)) if held else []
+    held_blocks = list(_integrated_blocks(series, discrepancy, linear)) if held else []
     for _ in range(2):
         whitener = build_whitener(model, series.stated_noise, disturbance, series.period, begins, group)
-        columns = _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy))
+        columns = _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy, linear))
         w = _discrepancy_weights(whitener(plain), columns, kept)
-        left = plain - integrated(series, discrepancy.rates(series, w))
+        left = plain - integrated(series, discrepancy.rates(series, w), linear)
         disturbance = _likely_disturbance(series, model, left, begins, rolls, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
     whitener = build_whitener(model, series.stated_noise, disturbance, series.period, begins, group)
-    u, phi = whitener(plain), _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy))
+    u, phi = whitener(plain), _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy, linear))
     left = u - phi @ _discrepancy_weights(u, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
     return Evidence(vehicle, series, linear, whitener, u, phi, at, disturbance, weight, rolls, discrepancy.shared_terms)
@@ -195,7 +213,7 @@ def rewhitened_with_noise(
         one.whitener.begins,
         one.whitener.group,
     )
-    columns = _whitened_blocks(whitener, _integrated_blocks(series, discrepancy))
+    columns = _whitened_blocks(whitener, _integrated_blocks(series, discrepancy, one.linear))
     return replace(one, whitener=whitener, nominal_rows=whitener(one.defects(())), discrepancy=columns)
 
 

@@ -1,4 +1,4 @@
-"""How the nominal model's rates answer to small deviations of the velocities along a recording.
+"""How a model's rates answer to small deviations of the velocities along a recording.
 
 Models are evaluated at predicted states, and this linearisation leads from there to the measured ones. It so decides
 how sensor noise enters the defects. Where lateral tyre forces build up over a distance, a deviation changes them late.
@@ -9,7 +9,7 @@ once. That shortens every relaxation length that is found, by half in a model ca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term, build_terms
 from split_cli.vehicle.effects.recording import first_order_response
+from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -28,7 +29,7 @@ nominal car's 6 mm became 21 mm in eight passes."""
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Velocity Jacobians of the nominal model along a recording of N samples, and how late tyre forces follow.
+    """Velocity Jacobians of a model along a recording of N samples, and how late tyre forces follow.
 
     Attributes
     ----------
@@ -40,12 +41,31 @@ class Linearisation:
         Rate at which lateral tyre forces build up, v_x over the relaxation length [1/s]; None if they do at once.
     recording : Recording
         The time base.
+    over_sample : ndarray of shape (N - 1, 3, 3), or None
+        P: what becomes of rates halfway between two samples over all of the transition [1], see `_over_sample`. None
+        where it is the identity.
+    by_steer : ndarray of shape (N, 3), or None
+        A b with b the derivative of the rates with respect to the steer angle [1/s^2 for a rate in 1/s], where P is
+        not the identity.
     """
 
     jacobian: np.ndarray
     immediate: np.ndarray
     rate: np.ndarray | None
     recording: Recording
+    over_sample: np.ndarray | None = None
+    by_steer: np.ndarray | None = None
+
+    def of_moment(self, moment: np.ndarray | None) -> np.ndarray | float:
+        """Return the motion over each sample, shape (N - 1, 3), that a moment (N,) [rad] of the steer angle adds.
+
+        Notes
+        -----
+        h^2 A b m, with m of `Series.steer_moment`: inputs that come late within a sample act for a shorter time.
+        """
+        if moment is None or self.by_steer is None:
+            return 0.0
+        return self.recording.period**2 * moment[:-1, None] * self.by_steer[:-1]
 
     def of_deviation(self, deviation: np.ndarray) -> np.ndarray:
         """Return the change of the rates, shape (N, 3), by deviations of the velocities, shape (N, 3).
@@ -62,29 +82,57 @@ class Linearisation:
 
 
 def linearise(vehicle: Vehicle, series: Series, terms: Sequence[Term] = ()) -> Linearisation:
-    """Return the linearisation of the nominal model at the predicted states of a recording.
+    """Return the linearisation of a model at the predicted states of a recording.
 
     Parameters
     ----------
     terms : sequence of Term
-        What the car has beyond its file. Of these only the relaxation length counts, besides that of the file.
+        What the model has beyond the vehicle file. Sensor faults count for nothing.
+
+    Notes
+    -----
+    The Jacobian is taken at the commands that arrive: behind lags, delays and gains of the actuators.
     """
     relaxation = CATALOGUE["tire_relaxation"]
-    own = build_terms(vehicle)
-    length = sum(one.parameters["length"] for one in (*own, *terms) if isinstance(one, relaxation))
-    rest = tuple(one for one in own if not isinstance(one, relaxation))
-    at = (*series.predicted.T, series.torque, series.steer_angle)
+    model = [one for one in (*build_terms(vehicle), *terms) if one.exported and one.moves_car]
+    acting = [one for one in model if type(one).actuate is not Term.actuate]
+    length = sum(one.parameters["length"] for one in model if isinstance(one, relaxation))
+    rest = [one for one in model if not isinstance(one, relaxation) and one not in acting]
+    at = (*series.predicted.T, *series.inputs(SingleTrack(vehicle, acting), series.predicted))
     where = {"yaw": series.yaw, "t": series.t, "s": series.s}
     jacobian = SingleTrack(vehicle, rest).velocity_jacobian(*at, **where)
     late = relaxation({"length": length})
     by_speed = late.fastest_rate(1.0)  # 0 for a length so short that forces build up at once
     rate = by_speed * np.abs(series.predicted[:, 0])
     if by_speed == 0.0 or np.median(rate) * series.period > _UNRESOLVED:
-        return Linearisation(jacobian, jacobian, None, series.recording)
-    model = SingleTrack(vehicle, (*rest, late))
-    held = {name: np.zeros(len(series)) for name in model.state_names}
-    immediate = model.velocity_jacobian(*at, **where, states=held)
+        if "delta" not in series.drive.held:
+            return Linearisation(jacobian, jacobian, None, series.recording)
+        over, by_steer = _over_sample(jacobian, series.period), _by_steer(SingleTrack(vehicle, rest), at, where)
+        return Linearisation(jacobian, jacobian, None, series.recording, over, _times(jacobian, by_steer))
+    slow = SingleTrack(vehicle, (*rest, late))
+    held = {name: np.zeros(len(series)) for name in slow.state_names}
+    immediate = slow.velocity_jacobian(*at, **where, states=held)
     return Linearisation(jacobian, immediate, rate, series.recording)
+
+
+def _over_sample(jacobian: np.ndarray, period: float) -> np.ndarray:
+    """Return P of each transition, shape (N - 1, 3, 3), where inputs are held.
+
+    Notes
+    -----
+    A linear model with held inputs moves by h phi_1(h A) f_0 over a sample, from rates f_0. Halfway between the ends of
+    that motion its rates are (I + exp(h A))/2 f_0. So P = 2 (I + exp(h A))^-1 phi_1(h A), which is I - (h A)^2/12 up to
+    fourth order.
+    """
+    mean = 0.5 * (jacobian[1:] + jacobian[:-1])
+    phi, identity = phi_matrix(mean, period), np.eye(3)
+    return np.linalg.solve(identity + 0.5 * period * mean @ phi, phi)
+
+
+def _by_steer(model: SingleTrack, at: Sequence[np.ndarray], where: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return b, the derivative of the rates with respect to the steer angle, shape (N, 3), by central differences."""
+    ahead, behind = (model.velocity_derivative(*at[:4], at[4] + step, **where) for step in (1e-6, -1e-6))
+    return np.stack([(one - other) / 2e-6 for one, other in zip(ahead, behind, strict=True)], axis=-1)
 
 
 def _times(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:

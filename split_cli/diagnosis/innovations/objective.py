@@ -260,7 +260,7 @@ class MarginalLikelihood:
             for one in self.evidence:
                 here, there = (self._rates(one, [*some, *moving]) for some in ((), altering))
                 rates = self.discrepancy.at_another_car(there - here, one.series, others)
-                moved.append(one.whitener(integrated(one.series, rates)))
+                moved.append(one.whitener(integrated(one.series, rates, one.linear)))
             return self.stack(moved)
 
         return self._remembered(("shift", bool(others)), [*altering, *others], rows, for_good=not others)

@@ -34,6 +34,7 @@ from split_cli.diagnosis.search.self_test import SelfTest, self_test
 from split_cli.diagnosis.search.term_tests import is_witnessed, term_p, witnessed_p
 from split_cli.diagnosis.search.variant_choice import with_variants_by_rollout
 from split_cli.diagnosis.statement.separation import exact_mimics
+from split_cli.vehicle.effects import Term
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class SearchOutcome:
     # With a marginalised baseline, and with a fixed one if that was searched too.
     objectives: tuple[MarginalLikelihood, ...] = ()
     oscillators: Oscillators | None = None  # the fits of oscillators to the same rows
+    case: DiagnosisCase | None = None  # the case that was searched; None where the caller knows it
 
     def remainder(self, residuals: np.ndarray) -> tuple[float, Structure, FlexibleFit]:
         """Test whether whitened residuals (R,) are noise, by the flexible fit and by oscillators.
@@ -86,8 +88,9 @@ def search(
 ) -> SearchOutcome:
     """Search for the terms that explain the gap, with one baseline or with both, see above.
 
-    If a channel is late, the search is repeated with that channel shifted as a whole: fast signal that stays in its
-    place looks like a lag.
+    The search is repeated on rows whitened about the found explanation, if these differ by more than a tie
+    (`DiagnosisCase.gathered_about`). If a channel is late, it is repeated with that channel shifted as a whole: fast
+    signal that stays in its place looks like a lag.
 
     Parameters
     ----------
@@ -97,16 +100,34 @@ def search(
         Called with the name of each step.
     """
     progress("comparing")
-    objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy)
+    objective = _objective_of(case, policy)
     tested = _self_test_of(case, candidates, reach, policy)
     tested_fixed = cache(partial(_self_test_of, case, candidates, reach, policy, fixed_baseline=True))
     progress("naming")
     found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress)
+    terms = found.selection.chosen.terms
+    again = case.gathered_about(terms, reach, policy)
+    if again is not case and _differ(objective, other := _objective_of(again, policy), terms):
+        progress("naming about the explanation")
+        case, objective = again, other
+        found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress)
     late = [term for term in found.selection.terms if term.moves_samples]
-    if not late:
-        return found
-    progress("naming with the late channel put right")
-    return _search_by_baselines(candidates, objective.with_residue_moved(late), tested, tested_fixed, progress)
+    if late:
+        progress("naming with the late channel put right")
+        objective = objective.with_residue_moved(late)
+        found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress)
+    return replace(found, case=case)
+
+
+def _objective_of(case: DiagnosisCase, policy: Policy) -> MarginalLikelihood:
+    return build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy)
+
+
+def _differ(one: MarginalLikelihood, other: MarginalLikelihood, terms: Sequence[Term]) -> bool:
+    """Return whether two objectives of the same recordings differ by more than a tie in the rows of an explanation."""
+    before, after = (objective.whiten(objective.raw_residual(terms)) for objective in (one, other))
+    tie = one.policy.selection.tie * one.policy.comparison.variance_inflation
+    return len(before) != len(after) or float(np.sum((after - before) ** 2)) > tie
 
 
 def _search_by_baselines(
