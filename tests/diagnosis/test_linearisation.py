@@ -13,7 +13,6 @@ from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.evidence import gather_evidence
 from split_cli.diagnosis.innovations.linearisation import linearise
 from split_cli.diagnosis.innovations.objective import build_objective
-from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.series import Series, build_series, extended_model
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import Part, fit_parts
@@ -87,7 +86,7 @@ def test_held_inputs_lead_over_a_sample_as_the_matrix_exponential_does():
     """y' = A y + b with constant b: y_1 - y_0 = h phi_1(h A) f_0, and f = A (y_0 + y_1)/2 + b halfway."""
     series = nominal_drive()
     found = linearise(CAR, series)
-    assert found.over_sample is not None and len(found.over_sample) == len(series) - 1
+    assert found.to_motion is not None and len(found.to_motion) == len(series) - 1
     for k in (0, 300, 1700):
         A = 0.5 * (found.jacobian[k] + found.jacobian[k + 1])
         begin, b = np.array([1.0, -0.4, 0.2]), np.array([0.3, 5.0, -8.0])
@@ -95,7 +94,7 @@ def test_held_inputs_lead_over_a_sample_as_the_matrix_exponential_does():
         system[:3, :3], system[:3, 3] = A, b
         end = (expm(series.period * system) @ np.append(begin, 1.0))[:3]
         halfway = series.period * (A @ (begin + end) / 2.0 + b)
-        assert found.over_sample[k] @ halfway == pytest.approx(end - begin, rel=1e-9, abs=1e-12)
+        assert found.to_motion[k] @ halfway == pytest.approx(end - begin, rel=1e-9, abs=1e-12)
         # The rule of trapezia, without that factor, errs by a share of (h A)^2/12.
         assert np.abs(halfway - (end - begin)).max() > 0.003 * np.abs(end - begin).max()
 
@@ -111,7 +110,7 @@ def test_a_step_within_a_sample_adds_the_moment_of_its_place():
     halfway_through = (expm(ahead * system) @ np.append(begin, 0.0))[:3]  # u = 0, then 1
     end = (expm((h - ahead) * system) @ np.append(halfway_through, 1.0))[:3]
     mean, moment = (h - ahead) / h, -ahead * (h - ahead) / (2.0 * h**2)
-    without = (end - begin) - found.over_sample[300] @ (h * (A @ (begin + end) / 2.0 + b * mean))
+    without = (end - begin) - found.to_motion[300] @ (h * (A @ (begin + end) / 2.0 + b * mean))
     left = without - h**2 * A @ b * moment
     assert np.linalg.norm(left) < 0.06 * np.linalg.norm(without)
 
@@ -123,11 +122,11 @@ def test_moments_of_late_commands():
     for begin, end in series.recording.segments:
         inside[begin + 60 : end - 1] = True
     delta = series.steer_angle
-    late = series.steer_moment(CAR, (CATALOGUE["steer_delay"]({"delay": 0.013}),))
+    late = series.steer_first_moment(CAR, (CATALOGUE["steer_delay"]({"delay": 0.013}),))
     expected = -(np.roll(delta, 1) - np.roll(delta, 2)) * 0.3 * 0.7 / 2.0
     assert late[inside] == pytest.approx(expected[inside], abs=0.07 * np.abs(expected).max())
     # With the lag, delta(s) = U - (U - u_0) exp(-s/tau) from u_0 at the begin of a sample.
-    tau, moments = 0.02, series.steer_moment(CAR, (CATALOGUE["steer_lag"]({"tau": 0.02}),))
+    tau, moments = 0.02, series.steer_first_moment(CAR, (CATALOGUE["steer_lag"]({"tau": 0.02}),))
     at_begin = first_order_from_means(delta, 1.0 / tau, series.recording)
     s = (np.arange(2000) + 0.5) / 2000 * h
     shape = np.exp(-s / tau)
@@ -139,19 +138,22 @@ def test_moments_of_late_commands():
 def test_steering_that_arrives_evenly_has_no_moment():
     series, late = nominal_drive(), CATALOGUE["steer_delay"]({"delay": 0.013})
     drive = Drive(series.drive.name, series.drive.columns, series.drive.segment, series.period)
-    assert replace(series, drive=drive).steer_moment(CAR, (late,)) is None
-    assert series.steer_moment(CAR, (CATALOGUE["steer_gain"]({"gain": 0.9}),)) is None
-    assert linearise(CAR, series, (relaxation(0.4),)).of_moment(series.steer_moment(CAR, (late,))) == 0.0
+    assert replace(series, drive=drive).steer_first_moment(CAR, (late,)) is None
+    assert series.steer_first_moment(CAR, (CATALOGUE["steer_gain"]({"gain": 0.9}),)) is None
+    assert linearise(CAR, series, (relaxation(0.4),)).of_first_moment(series.steer_first_moment(CAR, (late,))) == 0.0
 
 
 def test_what_a_rad_adds_is_the_jacobian_times_the_derivative_by_the_steer_angle():
-    series, step = nominal_drive(), 1e-5
+    series, step, h = nominal_drive(), 1e-5, 0.01
     found, at = linearise(CAR, series), (*series.predicted.T, series.torque)
     ahead, behind = (
         np.stack(SingleTrack(CAR).velocity_derivative(*at, series.steer_angle + side * step)) for side in (1.0, -1.0)
     )
-    expected = np.einsum("nij,jn->ni", found.jacobian, (ahead - behind) / (2.0 * step))
+    expected = ((ahead - behind) / (2.0 * step)).T
     assert found.by_steer == pytest.approx(expected, rel=1e-5, abs=1e-3)
+    moment = np.sin(series.t)
+    added = h**2 * np.einsum("nij,nj,n->ni", found.jacobian, expected, moment)[:-1]
+    assert found.of_first_moment(moment) == pytest.approx(added, rel=1e-4, abs=1e-7)
 
 
 @pytest.mark.parametrize("late", [(), (relaxation(0.4),)])
@@ -159,8 +161,8 @@ def test_inputs_that_go_on_between_samples_and_late_forces_turn_slowly(late):
     series = nominal_drive()
     drive = Drive(series.drive.name, series.drive.columns, series.drive.segment, series.period)
     continuous = replace(series, drive=drive)
-    assert linearise(CAR, continuous, late).over_sample is None
-    assert (linearise(CAR, series, late).over_sample is None) == bool(late)
+    assert linearise(CAR, continuous, late).to_motion is None
+    assert (linearise(CAR, series, late).to_motion is None) == bool(late)
 
 
 def test_it_is_taken_at_the_commands_that_arrive():
@@ -181,23 +183,32 @@ def test_sensor_faults_are_no_part_of_the_model():
     assert np.array_equal(linearise(CAR, series, faults).jacobian, linearise(CAR, series).jacobian)
 
 
-@pytest.mark.parametrize("seed", [71, 72])
-def test_values_are_right_on_rows_about_what_was_found(seed):
-    """About the nominal model the truth costs 1,400 more than other values, and stiffness and inertia are 3 % off."""
-    series = noisy_series(CAR, BENT, seed, "real")
+@pytest.mark.parametrize(
+    ("seed", "third", "most"),
+    [
+        (71, (), 40.0),
+        (72, (), 40.0),
+        (71, (CATALOGUE["steer_lag"]({"tau": 0.04}),), 40.0),
+        (71, (CATALOGUE["steer_delay"]({"delay": 0.013}),), 90.0),
+    ],
+)
+def test_values_are_right_on_rows_about_what_was_found(seed, third, most):
+    """About the nominal model the truth costs 1,100 to 1,500 more than other values: both effects err by 3 %."""
+    truth = (*BENT, *third)
+    series = noisy_series(CAR, truth, seed, "real")
     starts = {one.term: one for one in build_candidates(CAR, series) if one.variant == ""}
-    begin = [Part(starts[one.id], starts[one.id].starts[0]) for one in BENT]
+    begin = [Part(starts[one.id], starts[one.id].starts[0]) for one in truth]
     case, excess, inertia, rear = gather_case(CAR, [series]), [], [], []
-    for one in (case, case.gathered_about(BENT, STANDARD.comparison.reach)):
+    for one in (case, case.whitened_about(truth)):
         objective = build_objective(one.real, None, one.discrepancy, one.keep)
         fit = fit_parts(objective, begin)
-        stiffer, slower = (part.term.parameters for part in fit.parts)
+        stiffer, slower = (part.term.parameters for part in fit.parts[:2])
         rear.append(stiffer["rear_scale"] / 1.3)
         inertia.append(slower["scale"] / 0.85)
-        excess.append(objective.cost(BENT) - fit.cost)
-    assert excess[0] > 1000.0 and abs(rear[0] - 1.0) > 0.025 and abs(inertia[0] - 1.0) > 0.025
-    # Three parameters would save 3 by chance.
-    assert excess[1] < 40.0 and rear[1] == pytest.approx(1.0, abs=0.012) and inertia[1] == pytest.approx(1.0, abs=0.006)
+        excess.append(objective.cost(truth) - fit.cost)
+    assert excess[0] > 1000.0 and abs(rear[0] - 1.0) > 0.025 and abs(inertia[0] - 1.0) > 0.02
+    # Three or four parameters would save as much by chance.
+    assert excess[1] < most and rear[1] == pytest.approx(1.0, abs=0.012) and inertia[1] == pytest.approx(1.0, abs=0.006)
 
 
 def test_a_force_that_builds_up_within_a_quarter_of_a_sample_does_so_at_once():

@@ -119,7 +119,7 @@ BESIDE_THEIR_ALGORITHM = {
     "recording/segment_means.py": {"SMOOTHED_SECONDS"},
     "recording/predicted_states.py": {"_SLACK", "_NEGLIGIBLE_NOISE"},
     "recording/vehicle_match.py": {"_MOST_ROWS"},
-    "recording/series.py": {"_WORTHLESS", "REMEMBERED", "VISIBLE"},
+    "recording/series.py": {"_PARTS", "_WORTHLESS", "REMEMBERED", "VISIBLE"},
     "recording/straights.py": {"_BLOCK_SECONDS", "_FEWEST_BLOCKS"},
     "remainder/flexible.py": {"_HARMONICS", "_KNOTS"},
     "remainder/formula.py": {"_ROWS_APART", "_SUBSAMPLES", "_BLOCK_SECONDS"},

@@ -41,7 +41,7 @@ def dense_covariance(linear: Linearisation) -> np.ndarray:
         noise = noise.reshape(n, 3)
         answer = linear.of_deviation(noise)
         halfway = 0.5 * PERIOD * (answer[1:] + answer[:-1])
-        over = halfway if linear.over_sample is None else np.einsum("nij,nj->ni", linear.over_sample, halfway)
+        over = halfway if linear.to_motion is None else np.einsum("nij,nj->ni", linear.to_motion, halfway)
         mix[:, k] = (np.diff(noise, axis=0) - over).ravel()
     shaken = np.kron(np.eye(n - 1), np.diag(DISTURBANCE * PERIOD))
     return mix @ np.kron(np.eye(n), np.diag(NOISE**2)) @ mix.T + shaken

@@ -47,8 +47,9 @@ class DiagnosisCase:
     keep_holdout: tuple[np.ndarray, ...] = ()
     # The simulated recordings, whitened with the noise and disturbance of the real ones.
     rewhitened: tuple[Evidence, ...] = ()
-    # Terms of the model that predicts states of the real recordings and is linearised there, see `gather_evidence`.
+    # predicting, settling: of the real recordings, see `gather_evidence`.
     predicting: tuple[Term, ...] = ()
+    settling: tuple[Term, ...] = ()
 
     def compared(self, reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case that compares real rows within the distance `reach` of a simulated one, see `comparable`."""
@@ -69,25 +70,26 @@ class DiagnosisCase:
         keep = (comparable(one, self.simulated, self.discrepancy, reach, policy) for one in real)
         return replace(self, real=tuple(real), keep=tuple(keep))
 
-    def gathered_about(self, terms: Sequence[Term], reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
+    def whitened_about(self, terms: Sequence[Term], policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case whose real recordings are whitened about a model of these terms, see `gather_evidence`.
 
         Models are evaluated at predicted states, and a linearisation leads from there to the measured ones. A car that
         is damped in another way than the nominal model answers differently to the noise of these states. Predicted by
-        the nominal model, and with that model linearised, a part of the noise looks like an effect.
+        the nominal model, and with that model linearised, a part of the noise looks like an effect. The same rows are
+        compared as before. Faults that correct channels do not count; without other terms the case stays as it is.
         """
-        found = tuple(term for term in terms if term.exported and term.moves_car)
+        found = tuple(term for term in terms if term.moves_car and not term.corrects)
         if not found:
             return self
         case = replace(self, predicting=(*self.discrepancy.shared_terms, *found))
         real, holdout = (
             case._gathered([one.series for one in several], policy.believing) for several in (self.real, self.holdout)
         )
-        return replace(case, real=tuple(real), holdout=tuple(holdout)).compared(reach, policy)
+        return replace(case, real=tuple(real), holdout=tuple(holdout))
 
     def _gathered(self, series: Sequence[Series], rules: Believing) -> list[Evidence]:
         """Whiten real recordings in the way of this case."""
-        asked = self.discrepancy, self.simulated, rules, self.predicting
+        asked = self.discrepancy, self.simulated, rules, self.predicting, self.settling
         return map_in_threads(lambda one: _gathered(self.vehicle, one, *asked), series)
 
     def judged_with_residue(self) -> DiagnosisCase:
@@ -140,7 +142,9 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     # Without a simulation nothing is shared. What the car has itself then says which states follow from earlier ones.
     predicting = (discrepancy if simulated else with_shared_terms(by_role["real"])[0]).shared_terms
     real, holdout = (
-        map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules, predicting), by_role[role])
+        map_in_threads(
+            lambda one: _gathered(vehicle, one, discrepancy, simulated, rules, predicting, predicting), by_role[role]
+        )
         for role in ("real", "holdout")
     )
     noise = np.median([one.series.stated_noise for one in real], axis=0)
@@ -165,6 +169,7 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         tuple(simulated),
         rewhitened=tuple(rewhitened),
         predicting=tuple(predicting),
+        settling=tuple(predicting),
     )
     return case.compared(policy.comparison.reach, policy)
 
@@ -176,9 +181,10 @@ def _gathered(
     simulated: Sequence[Evidence],
     rules: Believing,
     predicting: Sequence[Term],
+    settling: Sequence[Term],
 ) -> Evidence:
     """Whiten a real recording, with at least the disturbance of the simulated ones."""
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
-    own = gather_evidence(vehicle, series, discrepancy, least, rules, predicting)
+    own = gather_evidence(vehicle, series, discrepancy, least, rules, predicting, settling)
     # Without a simulation nothing is shared.
     return own if simulated else replace(own, discrepancy=np.empty((*own.nominal_rows.shape, 0)))

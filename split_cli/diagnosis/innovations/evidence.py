@@ -77,17 +77,22 @@ class Evidence:
         -----
         z_k = y_{k+1} - y_k - P (h f + (h/2) (a_k + a_{k+1})), with y the measured velocities, f the model's rates at
         the predicted ones and h the sample period. a is the answer of the linearised model to the deviation d, measured
-        less predicted: A d, or what has built up of it (`Linearisation.of_deviation`). P leads from rates halfway to
-        the motion over the sample (`Linearisation.over_sample`). A steer angle that changes within a sample adds
-        `Linearisation.of_moment`.
+        less predicted: A d, or what has built up of it (`Linearisation.of_deviation`). P leads from rates in the middle
+        of the sample to those over all of it (`Linearisation.to_motion`). A steer angle that changes within a sample
+        adds `Linearisation.of_first_moment`.
         """
         measured, predicted = self.series.evaluated(terms)
         every = (*terms, *self.shared_terms)
         rates = self.series.rates(extended_model(self.vehicle, every), predicted)
         if discrepancy_rates is not None:
             rates = rates + discrepancy_rates
-        late = self.linear.of_moment(self.series.steer_moment(self.vehicle, every))
+        late = self.linear.of_first_moment(self.series.steer_first_moment(self.vehicle, every))
         return self._moved(measured, predicted) - integrated(self.series, rates, self.linear) - late
+
+    def rates_left(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
+        """Return `defects` as rates in the middle of the samples, (N - 1, 3) [m/s^2], [m/s^2], [rad/s^2]."""
+        left, P = self.defects(terms, discrepancy_rates) / self.series.period, self.linear.to_motion
+        return left if P is None else np.linalg.solve(P, left[:, :, None])[:, :, 0]
 
     def _moved(self, measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         # The velocities are kept in the cache, so that their ids stay unique.
@@ -114,28 +119,25 @@ def motion(series: Series, linear: Linearisation, measured: np.ndarray, predicte
     """
     carried = linear.of_deviation(measured - predicted)
     halfway = 0.5 * series.period * (carried[1:] + carried[:-1])
-    out = np.diff(measured, axis=0) - _over_sample(linear, halfway)
+    out = np.diff(measured, axis=0) - _to_motion(linear, halfway)
     out[~series.inside()] = 0.0
     return out
 
 
-def integrated(series: Series, columns: np.ndarray, linear: Linearisation | None = None) -> np.ndarray:
-    """Return rates (N, 3, ...) in the middle of samples times the period, shape (N - 1, 3, ...); 0 over gaps.
-
-    With a linearisation, the rates are those of a model, which change during a sample as it says.
-    """
+def integrated(series: Series, columns: np.ndarray, linear: Linearisation) -> np.ndarray:
+    """Return the motion by rates (N, 3, ...) in the middle of samples, shape (N - 1, 3, ...); 0 over gaps."""
     out = series.period * columns[:-1]
     out[~series.inside()] = 0.0
-    return out if linear is None else _over_sample(linear, out)
+    return _to_motion(linear, out)
 
 
-def _over_sample(linear: Linearisation, halfway: np.ndarray) -> np.ndarray:
-    """Return motion (N - 1, 3, ...) over each sample from that by rates halfway."""
-    if linear.over_sample is None:
+def _to_motion(linear: Linearisation, halfway: np.ndarray) -> np.ndarray:
+    """Return P times rates in the middle of samples times the period, shape (N - 1, 3, ...)."""
+    if linear.to_motion is None:
         return halfway
     if halfway.ndim == 2:
-        return np.einsum("nij,nj->ni", linear.over_sample, halfway)
-    return linear.over_sample @ halfway
+        return np.einsum("nij,nj->ni", linear.to_motion, halfway)
+    return linear.to_motion @ halfway
 
 
 def _integrated_blocks(series: Series, discrepancy: SharedDiscrepancy, linear: Linearisation) -> Iterator[np.ndarray]:
@@ -155,6 +157,7 @@ def gather_evidence(
     least_disturbance: np.ndarray | None = None,
     rules: Believing = STANDARD.believing,
     predicting: Sequence[Term] | None = None,
+    settling: Sequence[Term] | None = None,
 ) -> Evidence:
     """Whiten a recording; the variance of the disturbances is estimated by maximum likelihood.
 
@@ -165,19 +168,23 @@ def gather_evidence(
     predicting : sequence of Term, optional
         Terms of the model that predicts states from earlier samples, and of its linearisation; by default the shared
         terms of the discrepancy.
+    settling : sequence of Term, optional
+        Terms whose lags decide how long a segment's begin is left out; by default `predicting`.
     """
     predicting = discrepancy.shared_terms if predicting is None else predicting
     series = predicted_by_model(series, vehicle, _samples_of_a_row(series), predicting)
     linear = linearise(vehicle, series, predicting)
     model = noise_model(linear)
     rates = series.rates(extended_model(vehicle, discrepancy.shared_terms))
-    late = linear.of_moment(series.steer_moment(vehicle, discrepancy.shared_terms))
+    late = linear.of_first_moment(series.steer_first_moment(vehicle, discrepancy.shared_terms))
     plain = motion(series, linear, series.measured, series.predicted) - integrated(series, rates, linear) - late
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)
     kept = np.ones(len(at), dtype=bool)
-    kept[group[(group >= 0) & ~(rolls & _has_settled(series, predicting, rules))[:-1]]] = False
+    kept[
+        group[(group >= 0) & ~(rolls & _has_settled(series, predicting if settling is None else settling, rules))[:-1]]
+    ] = False
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
     held = discrepancy.size(series) <= _KEPT_BYTES
     held_blocks = list(_integrated_blocks(series, discrepancy, linear)) if held else []

@@ -41,31 +41,32 @@ class Linearisation:
         Rate at which lateral tyre forces build up, v_x over the relaxation length [1/s]; None if they do at once.
     recording : Recording
         The time base.
-    over_sample : ndarray of shape (N - 1, 3, 3), or None
-        P: what becomes of rates halfway between two samples over all of the transition [1], see `_over_sample`. None
-        where it is the identity.
+    to_motion : ndarray of shape (N - 1, 3, 3), or None
+        P: from rates in the middle of a sample, at the mean of its two ends, to the mean of rates over the sample [1],
+        see `_to_motion`. None where both are taken as the same.
     by_steer : ndarray of shape (N, 3), or None
-        A b with b the derivative of the rates with respect to the steer angle [1/s^2 for a rate in 1/s], where P is
-        not the identity.
+        b, derivative of the rates with respect to the steer angle [m/s^2 or rad/s^2, per rad]; None as `to_motion`.
     """
 
     jacobian: np.ndarray
     immediate: np.ndarray
     rate: np.ndarray | None
     recording: Recording
-    over_sample: np.ndarray | None = None
+    to_motion: np.ndarray | None = None
     by_steer: np.ndarray | None = None
 
-    def of_moment(self, moment: np.ndarray | None) -> np.ndarray | float:
-        """Return the motion over each sample, shape (N - 1, 3), that a moment (N,) [rad] of the steer angle adds.
+    def of_first_moment(self, moment: np.ndarray | None) -> np.ndarray | float:
+        """Return the motion, shape (N - 1, 3), that a steer angle adds by its first moment (N,) [rad] in each sample.
 
         Notes
         -----
-        h^2 A b m, with m of `Series.steer_moment`: inputs that come late within a sample act for a shorter time.
+        h^2 A b q, with q of `Series.steer_first_moment`. The rates of a sample have the mean of its steer angle. What
+        arrives early in the sample, with the same mean, has longer to act on the other velocities.
         """
         if moment is None or self.by_steer is None:
             return 0.0
-        return self.recording.period**2 * moment[:-1, None] * self.by_steer[:-1]
+        turned = _times(self.jacobian[:-1], self.by_steer[:-1])
+        return self.recording.period**2 * moment[:-1, None] * turned
 
     def of_deviation(self, deviation: np.ndarray) -> np.ndarray:
         """Return the change of the rates, shape (N, 3), by deviations of the velocities, shape (N, 3).
@@ -87,14 +88,14 @@ def linearise(vehicle: Vehicle, series: Series, terms: Sequence[Term] = ()) -> L
     Parameters
     ----------
     terms : sequence of Term
-        What the model has beyond the vehicle file. Sensor faults count for nothing.
+        What the model has beyond the vehicle file. Faults that correct channels count for nothing.
 
     Notes
     -----
     The Jacobian is taken at the commands that arrive: behind lags, delays and gains of the actuators.
     """
     relaxation = CATALOGUE["tire_relaxation"]
-    model = [one for one in (*build_terms(vehicle), *terms) if one.exported and one.moves_car]
+    model = [one for one in (*build_terms(vehicle), *terms) if one.moves_car and not one.corrects]
     acting = [one for one in model if type(one).actuate is not Term.actuate]
     length = sum(one.parameters["length"] for one in model if isinstance(one, relaxation))
     rest = [one for one in model if not isinstance(one, relaxation) and one not in acting]
@@ -107,20 +108,20 @@ def linearise(vehicle: Vehicle, series: Series, terms: Sequence[Term] = ()) -> L
     if by_speed == 0.0 or np.median(rate) * series.period > _UNRESOLVED:
         if "delta" not in series.drive.held:
             return Linearisation(jacobian, jacobian, None, series.recording)
-        over, by_steer = _over_sample(jacobian, series.period), _by_steer(SingleTrack(vehicle, rest), at, where)
-        return Linearisation(jacobian, jacobian, None, series.recording, over, _times(jacobian, by_steer))
+        over, by_steer = _to_motion(jacobian, series.period), _by_steer(SingleTrack(vehicle, rest), at, where)
+        return Linearisation(jacobian, jacobian, None, series.recording, over, by_steer)
     slow = SingleTrack(vehicle, (*rest, late))
     held = {name: np.zeros(len(series)) for name in slow.state_names}
     immediate = slow.velocity_jacobian(*at, **where, states=held)
     return Linearisation(jacobian, immediate, rate, series.recording)
 
 
-def _over_sample(jacobian: np.ndarray, period: float) -> np.ndarray:
+def _to_motion(jacobian: np.ndarray, period: float) -> np.ndarray:
     """Return P of each transition, shape (N - 1, 3, 3), where inputs are held.
 
     Notes
     -----
-    A linear model with held inputs moves by h phi_1(h A) f_0 over a sample, from rates f_0. Halfway between the ends of
+    A linear model with held inputs moves by h phi_1(h A) f_0 over a sample, from rates f_0. At the mean of the ends of
     that motion its rates are (I + exp(h A))/2 f_0. So P = 2 (I + exp(h A))^-1 phi_1(h A), which is I - (h A)^2/12 up to
     fourth order.
     """

@@ -68,12 +68,12 @@ def noise_model(linear: Linearisation) -> NoiseModel:
     Let u = (A - A_0) n be the forces that noise would give in steady state, and q the rate times the period h. Over
     one sample F+ = e^-q F + (mu - e^-q) u + (1 - mu) u+ with mu = (1 - e^-q)/q, as in `first_order_response`. The
     noise enters the defect by -(h/2) (A_0 n + F) at both ends; F is phi and d u, with d = 1 - mu of the transition
-    before. If forces build up at once it enters by -P (h/2) A n, with P of `Linearisation.over_sample`.
+    before. If forces build up at once it enters by -P (h/2) A n, with P of `Linearisation.to_motion`.
     """
     period, identity = linear.recording.period, np.eye(3)
     if linear.rate is None:
         half = 0.5 * period * linear.jacobian
-        over = identity if linear.over_sample is None else linear.over_sample
+        over = identity if linear.to_motion is None else linear.to_motion
         return NoiseModel(identity + over @ half[:-1], identity - over @ half[1:], None)
     q = np.maximum(0.5 * (linear.rate[1:] + linear.rate[:-1]) * period, 1e-9)
     kept, mu = np.exp(-q), -np.expm1(-q) / q

@@ -44,7 +44,7 @@ def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> Iterator[Fle
 
     def piece(asked: tuple[str, np.ndarray]) -> FlexiblePiece:
         group, block = asked
-        defects = integrated(series, block)
+        defects = integrated(series, block, one.linear)
         return FlexiblePiece(one.whitener(defects), windowed(series, defects, one.at), group)
 
     for group, blocks in groups.items():

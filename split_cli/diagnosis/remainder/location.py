@@ -26,7 +26,7 @@ def gap_forces(evidence: Evidence, terms: Sequence[Term], discrepancy_rates: np.
     invariant matrix).
     """
     series = evidence.series
-    left = evidence.defects(terms, discrepancy_rates) / series.period
+    left = evidence.rates_left(terms, discrepancy_rates)
     left = np.concatenate([left, left[-1:]])
     width = max(1, int(round(_AVERAGE_SECONDS / series.period)))
     total = np.cumsum(np.concatenate([np.zeros((1, 3)), left]), axis=0)
@@ -143,18 +143,22 @@ def force_noise(evidence: Evidence, at: np.ndarray) -> np.ndarray:
 
     Notes
     -----
-    Over W transitions of period p the mean of the defects' rates has the noise (n_W - n_0)/(W p) less the mean of A n,
-    with n the noise of a sample and A the velocity Jacobian. So the two ends have the factors (I/(W p) -+ A/(2 W)), and
-    the samples between A/W. Disturbances of variance q per second add q/(W p). The mean over the rows `at` is returned.
+    Over W transitions of period p the mean of the rates that are left has the noise P^-1 (n_W - n_0)/(W p) less the
+    mean of A n, with n the noise of a sample, A the velocity Jacobian and P of `Linearisation.to_motion`. So the two
+    ends have the factors (P^-1/(W p) -+ A/(2 W)), and the samples between A/W. Disturbances of variance q per second
+    add q/(W p). The mean over the rows `at` is returned.
     """
     period = evidence.series.period
     width = max(1, int(round(_AVERAGE_SECONDS / period)))
     A = evidence.linear.jacobian[at] / width
-    end = np.eye(3) / (width * period)
+    P = evidence.linear.to_motion
+    inverse = np.eye(3) if P is None else np.linalg.inv(P[np.minimum(at, len(P) - 1)])
+    end = inverse / (width * period)
     to_force = np.linalg.inv(evidence.vehicle.force_matrix())
     gains = ((1.0, to_force @ (end - 0.5 * A)), (1.0, to_force @ (end + 0.5 * A)), (width - 1.0, to_force @ A))
     squared = sum(times * np.mean(gain**2, axis=0) for times, gain in gains)
-    return squared @ evidence.series.noise**2 + to_force**2 @ evidence.disturbance / (width * period)
+    shaken = np.mean(np.atleast_3d(to_force @ inverse).reshape(-1, 3, 3) ** 2, axis=0)
+    return squared @ evidence.series.noise**2 + shaken @ evidence.disturbance / (width * period)
 
 
 def dependence(x: np.ndarray, gap: np.ndarray, noise: np.ndarray, block: np.ndarray) -> float:

@@ -53,7 +53,7 @@ def oscillator_rows(one: Evidence) -> OscillatorRows:
 
     def piece(of_along: list[np.ndarray], of_across: list[np.ndarray], group: str) -> FlexiblePiece:
         blocks = spread([(0, of_along), (1, of_across), (2, of_across)], forces)
-        defects = integrated(one.series, np.concatenate(list(blocks), axis=2))
+        defects = integrated(one.series, np.concatenate(list(blocks), axis=2), one.linear)
         return FlexiblePiece(one.whitener(defects), windowed(one.series, defects, one.at), group)
 
     def lags(drive: np.ndarray) -> list[np.ndarray]:

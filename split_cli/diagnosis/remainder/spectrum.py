@@ -181,7 +181,7 @@ def _swing(asked: _Remainder, over: str, frequency: float, channel: int) -> tupl
     angle = 2.0 * np.pi * frequency * np.append(clock, clock[-1])
     rates = np.zeros((len(angle), 3, 2))
     rates[:, channel, 0], rates[:, channel, 1] = np.sin(angle), np.cos(angle)
-    columns, whiten = integrated(one.series, rates), one.whitener.of_every_sample()
+    columns, whiten = integrated(one.series, rates, one.linear), one.whitener.of_every_sample()
     return columns, whiten(columns)[asked.used], whiten(asked.left)[asked.used]
 
 

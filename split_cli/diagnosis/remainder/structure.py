@@ -152,7 +152,7 @@ def _discrepancy_to_noise(objective: MarginalLikelihood) -> np.ndarray:
         weights, sizes = objective.posterior.weights, []
         for one, mask in zip(objective.evidence, objective.keep, strict=True):
             shared = objective.discrepancy.rates_with_shared_terms(one.series, weights)
-            sizes.append(effects_to_noise(one.series, integrated(one.series, shared), one.at[mask]))
+            sizes.append(effects_to_noise(one.series, integrated(one.series, shared, one.linear), one.at[mask]))
         objective.memo["discrepancy to noise"] = np.max(sizes, axis=0)
     return objective.memo["discrepancy to noise"]
 

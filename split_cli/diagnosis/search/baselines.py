@@ -49,7 +49,7 @@ class SearchOutcome:
     # With a marginalised baseline, and with a fixed one if that was searched too.
     objectives: tuple[MarginalLikelihood, ...] = ()
     oscillators: Oscillators | None = None  # the fits of oscillators to the same rows
-    case: DiagnosisCase | None = None  # the case that was searched; None where the caller knows it
+    case: DiagnosisCase | None = None  # the case that was searched; None for one search alone
 
     def remainder(self, residuals: np.ndarray) -> tuple[float, Structure, FlexibleFit]:
         """Test whether whitened residuals (R,) are noise, by the flexible fit and by oscillators.
@@ -89,7 +89,7 @@ def search(
     """Search for the terms that explain the gap, with one baseline or with both, see above.
 
     The search is repeated on rows whitened about the found explanation, if these differ by more than a tie
-    (`DiagnosisCase.gathered_about`). If a channel is late, it is repeated with that channel shifted as a whole: fast
+    (`DiagnosisCase.whitened_about`). If a channel is late, it is repeated with that channel shifted as a whole: fast
     signal that stays in its place looks like a lag.
 
     Parameters
@@ -106,9 +106,9 @@ def search(
     progress("naming")
     found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress)
     terms = found.selection.chosen.terms
-    again = case.gathered_about(terms, reach, policy)
+    again = case.whitened_about(terms, policy)
     if again is not case and _differ(objective, other := _objective_of(again, policy), terms):
-        progress("naming about the explanation")
+        progress("naming again beside what was found")
         case, objective = again, other
         found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress)
     late = [term for term in found.selection.terms if term.moves_samples]
@@ -127,7 +127,7 @@ def _differ(one: MarginalLikelihood, other: MarginalLikelihood, terms: Sequence[
     """Return whether two objectives of the same recordings differ by more than a tie in the rows of an explanation."""
     before, after = (objective.whiten(objective.raw_residual(terms)) for objective in (one, other))
     tie = one.policy.selection.tie * one.policy.comparison.variance_inflation
-    return len(before) != len(after) or float(np.sum((after - before) ** 2)) > tie
+    return float(np.sum((after - before) ** 2)) > tie
 
 
 def _search_by_baselines(

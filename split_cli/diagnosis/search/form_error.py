@@ -357,7 +357,7 @@ def _columns_of_discrepancy(objective: MarginalLikelihood) -> np.ndarray:
     if _DISCREPANCY not in objective.memo:
         weights, rows = objective.posterior.weights, []
         for one in objective.evidence:
-            shared = integrated(one.series, objective.discrepancy.rates(one.series, weights))
+            shared = integrated(one.series, objective.discrepancy.rates(one.series, weights), one.linear)
             rows.append(one.whitener(_varied_by(one, shared, True, _functions(one))))
         objective.memo[_DISCREPANCY] = objective.stack(rows)
     return objective.policy.selection.form_error_share * objective.whiten(objective.memo[_DISCREPANCY])

@@ -1,8 +1,8 @@
 """Recordings with a fault of the commands put in, and the saving of its term on them, for detection limits.
 
-A fault of the commands changes more than the residuals. The whitening filter uses the Jacobian at the recorded commands
-and the disturbance that they leave, and the shared discrepancy depends on them too. So the fault is put into the
-recording before whitening.
+A fault of the commands changes more than the residuals. The whitening filter uses the Jacobian at the commands and the
+disturbance that they leave, and the shared discrepancy depends on them too. So the fault is put into the recording
+before whitening.
 """
 
 from collections.abc import Mapping, Sequence
