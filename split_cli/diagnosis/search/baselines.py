@@ -110,6 +110,7 @@ def search(
     if again is not case and _differ(objective, other := _objective_of(again, policy), terms):
         progress("naming again beside what was found")
         case, objective = again, other
+        del found  # its caches are as large as those of the second search
         found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress)
     late = [term for term in found.selection.terms if term.moves_samples]
     if late:
