@@ -38,7 +38,7 @@ def errors_of_terms(
     velocity = np.stack([columns["vx"], columns["vy"], columns["r"]], axis=1)
     situation = Situation(columns["t"], columns["s"], columns["yaw"])
     torque, steer = _arrived(vehicle, terms, velocity, columns, recording)
-    model = SingleTrack(vehicle, [term for term in terms if not _acts_on_commands(term)])
+    model = SingleTrack(vehicle, [term for term in terms if not term.acts_on_commands()])
     inputs = recorded_inputs(model, velocity, torque, steer, recording, situation)
     steps = int(round(HORIZON * RATE))
     start = np.arange(int(round(FIRST * RATE)), len(velocity) - steps, steps)
@@ -46,10 +46,6 @@ def errors_of_terms(
     begin, windows = velocity[start], replace(inputs.windows(start, steps), held=tuple(held))
     jacobian = SingleTrack(vehicle, ()).velocity_jacobian(*begin.T, np.zeros(len(begin)), np.zeros(len(begin)))
     return velocity[start + steps] - windows.predict(model, begin, jacobian)
-
-
-def _acts_on_commands(term: Term) -> bool:
-    return type(term).actuate is not Term.actuate
 
 
 def _arrived(
@@ -60,7 +56,7 @@ def _arrived(
     recording: Recording,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return torque and steer angle as actuators pass them on, followed exactly along the recording."""
-    acting = [term for term in terms if _acts_on_commands(term)]
+    acting = [term for term in terms if term.acts_on_commands()]
     if not acting:
         return columns["T"], columns["delta"]
     flow = SingleTrack(vehicle, acting).flow(*velocity.T, columns["T"], columns["delta"], recording=recording)

@@ -96,7 +96,7 @@ def linearise(vehicle: Vehicle, series: Series, terms: Sequence[Term] = ()) -> L
     """
     relaxation = CATALOGUE["tire_relaxation"]
     model = [one for one in (*build_terms(vehicle), *terms) if one.moves_car and not one.corrects]
-    acting = [one for one in model if type(one).actuate is not Term.actuate]
+    acting = [one for one in model if one.acts_on_commands()]
     length = sum(one.parameters["length"] for one in model if isinstance(one, relaxation))
     rest = [one for one in model if not isinstance(one, relaxation) and one not in acting]
     at = (*series.predicted.T, *series.inputs(SingleTrack(vehicle, acting), series.predicted))

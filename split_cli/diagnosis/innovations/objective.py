@@ -88,7 +88,7 @@ def _long_run_variance(rows: np.ndarray) -> np.ndarray:
 
 def alters_inputs(term: Term) -> bool:
     """Return whether a term changes the inputs behind the actuators, or what is measured."""
-    return not term.exported or type(term).actuate is not Term.actuate
+    return not term.exported or term.acts_on_commands()
 
 
 def alters_car(term: Term) -> bool:

@@ -245,7 +245,7 @@ class Series:
             complete(bare.front, bare.ops)
             complete(bare.rear, bare.ops)
             return bare
-        acting = tuple(term for term in model.terms if type(term).actuate is not Term.actuate)
+        acting = tuple(term for term in model.terms if term.acts_on_commands())
         arrived = self._arrived(bare, model.vehicle, acting) if acting else None
         return self._flow(model, bare.vx, bare.vy, bare.r, bare=bare, arrived=arrived)
 
@@ -279,7 +279,7 @@ class Series:
         h: -1/8 of a step in its middle. It is taken of the means over `_PARTS` parts of the sample, and is 0 where a
         segment ends.
         """
-        acting = (term for term in (*build_terms(vehicle), *terms) if type(term).actuate is not Term.actuate)
+        acting = (term for term in (*build_terms(vehicle), *terms) if term.acts_on_commands())
         acting = tuple(term for term in acting if term.family != "along")
         if "delta" not in self.drive.held or not any(one.acts_late() for one in acting):
             return None

@@ -26,7 +26,7 @@ from split_cli.diagnosis.search.fitting import (
 from split_cli.diagnosis.search.form_error import forget_form_error, free_to_form_error, saved_beside_form_error
 from split_cli.diagnosis.search.term_tests import contradicts_yaw
 from split_cli.logs.drive import INPUT_CHANNELS
-from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.effects import CATALOGUE
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class Explorer:
             left = self.objective.raw_residual(beside)
 
             def linear(one: Tangent) -> Tangent:
-                acts = type(one.part.term).actuate is not Term.actuate
+                acts = one.part.term.acts_on_commands()
                 return tangent(self.objective, left, one.part, beside) if acts else one
 
             return map_in_threads(linear, further)

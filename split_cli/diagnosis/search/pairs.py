@@ -12,7 +12,7 @@ import numpy as np
 from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import RIDGE, Fit, Tangent, fit_parts, of_length_one, sensitivity_of
-from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.effects import CATALOGUE
 
 
 def estimated_pairs(explore: Explorer, current: Fit) -> list[tuple[float, Tangent, Tangent]]:
@@ -65,7 +65,7 @@ def costs_of_pairs(current: Fit, tangents: Sequence[Tangent]) -> Iterator[tuple[
 def _are_one(first: Tangent, second: Tangent) -> bool:
     """Return whether two tangents are of the same term, or both shift commands in time."""
     kinds = [CATALOGUE[linear.part.candidate.term] for linear in (first, second)]
-    return kinds[0] is kinds[1] or all(kind.acts_late() and kind.actuate is not Term.actuate for kind in kinds)
+    return kinds[0] is kinds[1] or all(kind.acts_late() and kind.acts_on_commands() for kind in kinds)
 
 
 def with_pair(explore: Explorer, current: Fit, pair: tuple[Tangent, Tangent]) -> Fit | None:

@@ -16,7 +16,7 @@ from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import over_allowance, over_form_error, p_of_effect, sizes_of_terms
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
-from split_cli.diagnosis.verdict.faulty_commands import alters_commands, other_side
+from split_cli.diagnosis.verdict.faulty_commands import other_side
 from split_cli.vehicle.effects import CATALOGUE, Term
 
 #: As `saving_on_faulty_recordings` without its keyword arguments.
@@ -206,7 +206,7 @@ def _smallest(
         if not candidate.allows(values):
             break
         if tolerated or abs(log) < near:
-            if faulty_saving is not None and alters_commands(term):
+            if faulty_saving is not None and term.acts_on_commands():
                 there = shown.over_and_witnessed(factor / before)
                 factor = _grown_seen(beside, candidate, start, factor, there, excess, faulty_saving)
             return _grown_until_significant(beside, candidate, start, factor)

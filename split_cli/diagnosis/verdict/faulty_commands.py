@@ -22,11 +22,6 @@ from split_cli.vehicle.single_track import SingleTrack
 _POWERS = 3  # terms of the series by which a lag or a play is inverted [1]
 
 
-def alters_commands(term: Term) -> bool:
-    """Return whether a term acts on torque or steering between command and wheels."""
-    return type(term).actuate is not Term.actuate
-
-
 def saving_on_faulty_recordings(
     objective: MarginalLikelihood, term: Term, others: Sequence[Term] = (), *, case: DiagnosisCase, reach: float
 ) -> tuple[float, float]:

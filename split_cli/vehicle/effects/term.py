@@ -260,6 +260,11 @@ class Term:
         """Return whether the term shows in transients: by states, delays, or because it resists them."""
         return bool(cls.states) or "delay" in cls.units or cls.shows_late
 
+    @classmethod
+    def acts_on_commands(cls) -> bool:
+        """Return whether the term changes torque or steer angle on their way to the car."""
+        return cls.actuate is not Term.actuate
+
     @property
     def corrects(self) -> bool:
         """Whether the term is taken into account by correcting the recorded channels."""
