@@ -86,7 +86,7 @@ class Evidence:
         rates = self.series.rates(extended_model(self.vehicle, every), predicted)
         if discrepancy_rates is not None:
             rates = rates + discrepancy_rates
-        late = self.linear.of_first_moment(self.series.steer_first_moment(self.vehicle, every))
+        late = _by_late_steering(self.vehicle, self.series, self.linear, every)
         return self._moved(measured, predicted) - integrated(self.series, rates, self.linear) - late
 
     def rates_left(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
@@ -140,6 +140,13 @@ def _to_motion(linear: Linearisation, halfway: np.ndarray) -> np.ndarray:
     return linear.to_motion @ halfway
 
 
+def _by_late_steering(
+    vehicle: Vehicle, series: Series, linear: Linearisation, terms: Sequence[Term]
+) -> np.ndarray | float:
+    """Return the motion, (N - 1, 3), by steering that changes within samples, see `Linearisation.of_first_moment`."""
+    return 0.0 if linear.by_steer is None else linear.of_first_moment(series.steer_first_moment(vehicle, terms))
+
+
 def _integrated_blocks(series: Series, discrepancy: SharedDiscrepancy, linear: Linearisation) -> Iterator[np.ndarray]:
     """Yield the discrepancy's columns integrated over each transition, a few at a time, (N - 1, 3, c)."""
     return (integrated(series, block, linear) for block in discrepancy.blocks(series))
@@ -176,7 +183,7 @@ def gather_evidence(
     linear = linearise(vehicle, series, predicting)
     model = noise_model(linear)
     rates = series.rates(extended_model(vehicle, discrepancy.shared_terms))
-    late = linear.of_first_moment(series.steer_first_moment(vehicle, discrepancy.shared_terms))
+    late = _by_late_steering(vehicle, series, linear, discrepancy.shared_terms)
     plain = motion(series, linear, series.measured, series.predicted) - integrated(series, rates, linear) - late
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle, rules)

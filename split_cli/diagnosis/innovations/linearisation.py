@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -63,10 +64,14 @@ class Linearisation:
         h^2 A b q, with q of `Series.steer_first_moment`. The rates of a sample have the mean of its steer angle. What
         arrives early in the sample, with the same mean, has longer to act on the other velocities.
         """
-        if moment is None or self.by_steer is None:
+        if moment is None or self._turned is None:
             return 0.0
-        turned = _times(self.jacobian[:-1], self.by_steer[:-1])
-        return self.recording.period**2 * moment[:-1, None] * turned
+        return self.recording.period**2 * moment[:-1, None] * self._turned
+
+    @cached_property
+    def _turned(self) -> np.ndarray | None:
+        """A b of every transition, shape (N - 1, 3): each evaluation of a model asks for it."""
+        return None if self.by_steer is None else _times(self.jacobian[:-1], self.by_steer[:-1])
 
     def of_deviation(self, deviation: np.ndarray) -> np.ndarray:
         """Return the change of the rates, shape (N, 3), by deviations of the velocities, shape (N, 3).
