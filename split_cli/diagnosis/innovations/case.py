@@ -142,9 +142,7 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     # Without a simulation nothing is shared. What the car has itself then says which states follow from earlier ones.
     predicting = (discrepancy if simulated else with_shared_terms(by_role["real"])[0]).shared_terms
     real, holdout = (
-        map_in_threads(
-            lambda one: _gathered(vehicle, one, discrepancy, simulated, rules, predicting, predicting), by_role[role]
-        )
+        map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules, predicting), by_role[role])
         for role in ("real", "holdout")
     )
     noise = np.median([one.series.stated_noise for one in real], axis=0)
@@ -181,7 +179,7 @@ def _gathered(
     simulated: Sequence[Evidence],
     rules: Believing,
     predicting: Sequence[Term],
-    settling: Sequence[Term],
+    settling: Sequence[Term] | None = None,
 ) -> Evidence:
     """Whiten a real recording, with at least the disturbance of the simulated ones."""
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None

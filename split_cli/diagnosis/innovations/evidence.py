@@ -189,9 +189,8 @@ def gather_evidence(
     rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)
     kept = np.ones(len(at), dtype=bool)
-    kept[
-        group[(group >= 0) & ~(rolls & _has_settled(series, predicting if settling is None else settling, rules))[:-1]]
-    ] = False
+    settled = _has_settled(series, predicting if settling is None else settling, rules)
+    kept[group[(group >= 0) & ~(rolls & settled)[:-1]]] = False
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
     held = discrepancy.size(series) <= _KEPT_BYTES
     held_blocks = list(_integrated_blocks(series, discrepancy, linear)) if held else []
