@@ -152,12 +152,12 @@ def force_noise(evidence: Evidence, at: np.ndarray) -> np.ndarray:
     width = max(1, int(round(_AVERAGE_SECONDS / period)))
     A = evidence.linear.jacobian[at] / width
     P = evidence.linear.to_motion
-    inverse = np.eye(3) if P is None else np.linalg.inv(P[np.minimum(at, len(P) - 1)])
+    inverse = np.eye(3)[None] if P is None else np.linalg.inv(P[np.minimum(at, len(P) - 1)])
     end = inverse / (width * period)
     to_force = np.linalg.inv(evidence.vehicle.force_matrix())
     gains = ((1.0, to_force @ (end - 0.5 * A)), (1.0, to_force @ (end + 0.5 * A)), (width - 1.0, to_force @ A))
     squared = sum(times * np.mean(gain**2, axis=0) for times, gain in gains)
-    shaken = np.mean(np.atleast_3d(to_force @ inverse).reshape(-1, 3, 3) ** 2, axis=0)
+    shaken = np.mean((to_force @ inverse) ** 2, axis=0)
     return squared @ evidence.series.noise**2 + shaken @ evidence.disturbance / (width * period)
 
 
