@@ -285,7 +285,8 @@ def _concealed(
         if len(effects) > 1:
             alone = _exact(effect.apply(without, size), without, replace(trips[2], duration=60.0), source)
         parameters, variant, removed = _parameters(effect, without, size, alone, source)
-        scored = tuple(name for name in parameters if name not in effect.shape)
+        unscored = {*effect.shape, *CATALOGUE[effect.term].constants}
+        scored = tuple(name for name in parameters if name not in unscored)
         concealed.append(ConcealedEffect(effect.term, size, found, parameters, scored, variant, removed))
         terms.append(CATALOGUE[effect.term](parameters, variant))
     return tuple(concealed), heldout, removed_share(heldout, source.vehicle, terms, source.noise)

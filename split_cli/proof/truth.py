@@ -25,6 +25,7 @@ GUESSES = {
     "rear": 0.0,
     "force": 0.0,
     "yaw_damping": 0.0,
+    "slip_stiffness": 0.1,
 }
 
 
@@ -177,9 +178,12 @@ def fit_effective(
         "yaw_damping": 0.5 * vehicle.yaw_inertia,
         "cg_height": vehicle.wheelbase,
         "length": vehicle.wheelbase,
+        "slip_stiffness": 0.1,
     }
     unit = np.array([scale.get(name, 1.0) for name in free])
     guess = np.array([GUESSES[name] for name in free])
     guess = np.where(np.isin(free, ["length", "cg_height"]), guess * vehicle.wheelbase / 2.7, guess)
-    solution = least_squares(residuals, guess, x_scale=0.1 * unit, diff_step=1e-4, max_nfev=40)
+    limits = kind.limits(vehicle)
+    bounds = np.array([limits[name] if name in kind.constants else (-np.inf, np.inf) for name in free]).T
+    solution = least_squares(residuals, guess, bounds=bounds, x_scale=0.1 * unit, diff_step=1e-4, max_nfev=40)
     return {**given, **dict(zip(free, (float(v) for v in solution.x), strict=True))}

@@ -97,7 +97,7 @@ def test_the_first_column_of_a_channel_is_the_effect_itself(behind, delay):
 
 def test_a_differential_whose_constants_are_assumed_may_be_wrong_by_more(behind, delay):
     """By a quarter of its moment, in the columns of whole explanations as in the size that a further term needs."""
-    stiff = CATALOGUE["yaw_moment_differential"]({"yaw_damping": 3000.0}, "slip")
+    stiff = CATALOGUE["yaw_moment_differential"]({"yaw_damping": 3000.0, "slip_stiffness": 0.1}, "slip")
     terms = (*delay.terms, stiff)
     parts = [(terms, 0), (terms, 1)]
     shares = np.repeat([0.1, 0.25], 18)

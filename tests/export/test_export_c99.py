@@ -150,7 +150,7 @@ def test_the_bound_on_skipped_cells_holds_and_is_used(small_set, small_oracle, c
 def test_effects_of_the_vehicle_are_in_the_step(compiler, tmp_path):
     effects = (
         EffectSpec("aero_drag", {"drag": 0.4}),
-        EffectSpec("yaw_moment_differential", {"yaw_damping": 900.0}, "slip"),
+        EffectSpec("yaw_moment_differential", {"yaw_damping": 900.0, "slip_stiffness": 0.1}, "slip"),
     )
     training_set = make_training_set(seed=5, points=150, vehicle=road_car(effects=effects))
     assert checked(training_set, compiler, tmp_path, queries=300).step_error < 1e-11

@@ -296,28 +296,49 @@ def test_a_locked_axle_that_drives_turns_with_the_difference_of_its_wheels_slips
     assert dragged < less < 0.0
 
 
-@pytest.mark.parametrize("driven", ["all", "rear", "front"])
-def test_tires_that_slip_limit_the_moment_of_a_locked_axle(driven):
+@pytest.mark.parametrize("coupled", ["all", "rear", "rear of all", "front"])
+def test_tires_that_slip_limit_the_moment_of_a_locked_axle(coupled):
     """-(r - r_0)/(1/d + v_x/K): a weak coupling damps by itself, a locked axle gives what slip permits."""
-    from dataclasses import replace
-
     at = driving()
-    share = {"all": 0.4, "rear": 0.0, "front": 1.0}[driven]
-    car = replace(CAR, drive_split_front=share, brake_split_front=share)
+    split = {"all": 0.4, "rear": 0.0, "rear of all": 0.4, "front": 1.0}[coupled]
+    in_front, in_rear, share = coupled in ("all", "front"), coupled != "front", 0.12
+    car = replace(CAR, drive_split_front=split, brake_split_front=split)
     f = forces(at)
-    force = (share * at["T"] / 0.31 - 90.0) * (share > 0.0) + ((1.0 - share) * at["T"] / 0.31 - 80.0) * (share < 1.0)
+    force = (split * at["T"] / 0.31 - 90.0) * in_front + ((1.0 - split) * at["T"] / 0.31 - 80.0) * in_rear
     side = (f["fyf"] + f["fyr"]) / (1500.0 * G)
-    front, rear = 11.0 * 1.45 * 7900.0, 12.5 * 1.45 * 6800.0
-    limit = 0.1 * 2.7**2 * (front * (share > 0.0) + rear * (share < 1.0))
-    by_load = 0.75 * 0.55 * force * side
+    # Beside slip across, slip along meets the secant of the tyre's curve.
+    front, rear = f["fyf"] / f["alpha_f"], f["fyr"] / f["alpha_r"]
+    limit = share * 2.7**2 * (front * in_front + rear * in_rear)
+    by_load = 0.55 * force * side
     zero, spun = 0.0 * at["vx"], at["vx"] * by_load / limit
     damped = {1.0: (at["r"] - spun) * 1.0, 1e9: limit * at["r"] / at["vx"] - by_load}
     damped[4000.0] = (at["r"] - spun) / (1.0 / 4000.0 + at["vx"] / limit)
+    variant = "rear slip" if coupled == "rear of all" else "slip"
     for damping, moment in damped.items():
-        model = term("yaw_moment_differential", "slip", yaw_damping=damping)
+        model = term("yaw_moment_differential", variant, yaw_damping=damping, slip_stiffness=share)
         moved = rates(at, model, car=car) - rates(at, car=car)
         # Of either limit the other part of the series is at most 5e-4.
-        np.testing.assert_allclose(moved, np.stack([zero, zero, -moment / 2600.0]), rtol=2e-3, atol=1e-9)
+        np.testing.assert_allclose(moved, np.stack([zero, zero, -moment / 2600.0]), rtol=2e-3, atol=1e-3)
+
+
+def test_slip_along_meets_the_secant_beside_slip_across():
+    """A tyre whose force points along its slip: the slope of the force along is the secant of the force across."""
+    angle, small = np.linspace(0.003, 0.3, 40), 1e-7
+
+    def along(slip: float) -> np.ndarray:
+        whole = np.hypot(slip, angle)
+        return 6800.0 * np.sin(1.45 * np.arctan(12.5 * whole)) * slip / whole
+
+    stiffness = (along(small) - along(-small)) / (2.0 * small)
+    car = replace(CAR, drive_split_front=0.0)
+    at = {name: np.zeros(40) for name in driving()}
+    # Torque that balances the rolling resistance, so that no driving force adds to the moment.
+    at |= {"vx": np.full(40, 20.0), "vy": -20.0 * np.tan(angle) + B * 0.05, "r": np.full(40, 0.05)}
+    at["T"] = np.full(40, 80.0 * 0.31)
+    model = term("yaw_moment_differential", "slip", yaw_damping=1e9, slip_stiffness=0.12)
+    moment = 2600.0 * (rates(at, model, car=car) - rates(at, car=car))[2]
+    # The secant is that of sqrt(angle^2 + 1e-6 rad^2), which moves it by up to (12.5 x 1e-3)^2.
+    np.testing.assert_allclose(moment, -0.12 * 2.7**2 * stiffness * 0.05 / 20.0, rtol=1.6e-4)
 
 
 def test_coupled_wheels_in_balance_give_a_series_of_coupling_and_slip():
@@ -477,7 +498,7 @@ def test_casadi_differentiates_the_moment_that_slip_limits():
     from split_cli.export.symbolic import CASADI
 
     at = driving(20)
-    model = SingleTrack(CAR, [term("yaw_moment_differential", "slip", yaw_damping=4000.0)])
+    model = SingleTrack(CAR, [term("yaw_moment_differential", "slip", yaw_damping=4000.0, slip_stiffness=0.1)])
     symbols = [ca.SX.sym(n) for n in at]
     turning = model.balance(model.flow(**dict(zip(at, symbols, strict=True)), ops=CASADI))[2]
     moved = ca.vertcat(*symbols[:5])

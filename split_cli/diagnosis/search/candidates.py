@@ -62,7 +62,7 @@ class Candidate:
 
         def ends(name: str, limit: Range) -> bool:
             near = _NEAR * limit.step
-            beyond = values[name] >= limit.upper - near
+            beyond = values[name] >= limit.upper - near and not limit.ends_complete
             below = values[name] <= limit.lower + near and not limit.ends_at_none
             return (beyond or below) and abs(values[name] - neutral[name]) > near
 

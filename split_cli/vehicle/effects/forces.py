@@ -11,6 +11,7 @@ from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.tire import lateral_force
 
 __all__ = ["AeroDrag", "RollingResistance", "Wind", "YawMomentDifferential"]
 
@@ -21,13 +22,18 @@ _SPOOL = "judgement: an axle is locked whose coupling is 20 times as stiff as it
 _STORM = "judgement: 30 m/s for a full-size car, a violent storm, in which nobody tests"
 
 # w^2 C_x/4 over L^2 C_F [1], with the track width w, the wheelbase L, an axle's slip stiffness C_x and its cornering
-# stiffness C_F. Judgement: tracks are 0.5 to 0.7 of a wheelbase wide (0.06 to 0.12 of its square), and tyres
-# are as stiff along as across or up to 1.5 times as stiff (Pacejka, 2012, chapter 4).
-_SLIP_OVER_CORNERING = 0.1
-# By which power a tyre's slip stiffness grows with its load [1]: between the laws of `scale_load`, 0.5 and 1.
-_STIFFER_WITH_LOAD = 0.75
-# Model-form error of the moment over its size [1]. Judgement: K is known to between 0.6 and 1.8 times, of which the
-# damping that is fitted takes a part. In two cars of other equations a quarter was wrong (docs/records).
+# stiffness C_F. Judgement: tracks are 0.5 to 0.8 of a wheelbase wide (0.06 to 0.16 of its square), and tyres are up to
+# 1.5 times as stiff along as across (Pacejka, 2012, chapter 4), or half as stiff: between the usual value's third and
+# its fourfold.
+_USUAL_SLIP_STIFFNESS = 0.1
+_LEAST_SLIP_STIFFNESS = 0.03
+_MOST_SLIP_STIFFNESS = 0.4
+_TRACKS = "judgement: tracks of 0.5 to 0.8 wheelbases, tyres 0.5 to 2.5 times as stiff along as across"
+_OF_SLIP = ("slip", "rear slip")  # the variants whose moment the tyres' slip limits
+# Slip angle below which a tyre's secant is that at this angle [rad]. Judgement: no curve bends within 1 mrad.
+_SMALL_SLIP_ANGLE = 1e-3
+# Model-form error of the moment over its size [1]: what is left of it in the project's own cars near their limits,
+# with both parameters fitted (docs/decisions/0044), and in two cars of other equations (docs/records).
 _ASSUMED = 0.25
 _AS_LOCKED = 20.0  # stiffness of a coupling over that of its tyres at a brisk speed [1], see `_SPOOL`
 
@@ -120,18 +126,22 @@ class YawMomentDifferential(Term):
     Variant ``slip``: the tyres' slip limits the moment. A coupling that is not weak makes the wheels slip, and acts
     in series with this slip: M_z gains -(r - r_0)/(1/yaw_damping + v_x/K). Here K = w^2 C_x/4, and C_x is the slip
     stiffness of the driven axles. At low speed this is the default. An axle that is locked, of infinite damping,
-    leaves -(r - r_0) K/v_x: its slips are -+ r w/(2 v_x). At the yaw rate r_0 = v_x F_x h' a_y/(g K) the wheels
+    leaves -(r - r_0) K/v_x: its slips are -+ r w/(2 v_x). At the yaw rate r_0 = v_x F_x h a_y/(g K) the wheels
     are equally fast. The reason is that the inner wheel carries less load and slips more under the same
-    force. F_x is the force of the driven axles; h' is 3/4 of the CG height, since a tyre's stiffness grows less than
-    its load. A vehicle file has neither w nor C_x. So K = 0.1 L^2 C_F is assumed, with the wheelbase L and the
-    cornering stiffness C_F of the driven axles. Without `cg_height` in the file, 0.2 L is assumed.
+    force. F_x is the force of the driven axles and h the CG height, 0.2 L where the file has none.
+
+    A tyre that slips across by the angle alpha has its force in the direction of its slip. So little slip along meets
+    the secant F_y(alpha)/alpha in place of the cornering stiffness C_F. A vehicle file has neither w nor C_x. So
+    K = slip_stiffness L^2 F_y(alpha)/alpha, summed over the driven axles, with the wheelbase L. `slip_stiffness` is
+    w^2/(4 L^2) times a tyre's stiffness along over that across. Near 0.1 is usual; a diagnosis fits it
+    between 0.03 and 0.4, and takes no value of it for a finding.
 
     Variant ``driven`` is older: r - v_x (F_x/F_z) (a_y/g)/(4 L) replaces r, with F_x and F_z of the driving axle. The
     factor 1/4 was fitted to two of the project's simulated cars (0.25 and 0.26). It is large: theory gives 0.11
     and 0.17 for these two, and in cars of other equations it was 0.06. A diagnosis does not try it.
 
     Source: Milliken and Milliken (1995), chapter 20; the series of coupling and slip follows from the balance of
-    each wheel.
+    each wheel; slip along and across: Pacejka (2012), section 3.2 (similarity).
     """
 
     id = "yaw_moment_differential"
@@ -140,10 +150,16 @@ class YawMomentDifferential(Term):
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"yaw_damping": "N m s/rad"}
+    variant_units: ClassVar = dict.fromkeys(_OF_SLIP, {"yaw_damping": "N m s/rad", "slip_stiffness": "1"})
     neutral: ClassVar = {"yaw_damping": 0.0}
+    constants: ClassVar = frozenset({"slip_stiffness"})
     discrepancy: ClassVar = (("", "yaw_damping", 0.2), ("driven", "yaw_damping", 0.2))
-    variants: ClassVar = ("", "driven", "slip")
-    variant_words: ClassVar = {"driven": "less by drive force in turns", "slip": "limited by the slip of the tyres"}
+    variants: ClassVar = ("", "driven", *_OF_SLIP)
+    variant_words: ClassVar = {
+        "driven": "less by drive force in turns",
+        "slip": "limited by the slip of the tyres",
+        "rear slip": "limited by the slip of the rear tyres",
+    }
     mimics: ClassVar = (
         Mimic("cg_shift+tire_stiffness", "steady turns", "steer steps: damping acts at once, slip builds up"),
     )
@@ -156,19 +172,25 @@ class YawMomentDifferential(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        if variant == "driven":
+        if variant == "driven" or (variant == "rear slip" and not all(cls._coupled(vehicle, "slip"))):
             return None
-        start = ({"yaw_damping": 0.05},)
-        if variant == "slip":
-            locked = _AS_LOCKED * cls._tire_limit(vehicle) / speed_unit(vehicle)
-            most = locked / cls.sizes(vehicle)["yaw_damping"]
-            return Search({"yaw_damping": Range(0.0, most, 0.01, _SPOOL)}, start)
-        return Search({"yaw_damping": Range(0.0, 5.0, 0.01, _LOCKED)}, start)
+        start = {"yaw_damping": 0.05}
+        if variant in _OF_SLIP:
+            tires, coupled = (vehicle.front_tire, vehicle.rear_tire), cls._coupled(vehicle, variant)
+            stiffness = sum(one.cornering_stiffness for one, on in zip(tires, coupled, strict=True) if on)
+            limit = _USUAL_SLIP_STIFFNESS * vehicle.wheelbase**2 * stiffness
+            most = _AS_LOCKED * limit / speed_unit(vehicle) / cls.sizes(vehicle)["yaw_damping"]
+            ranges = {
+                "yaw_damping": Range(0.0, most, 0.01, _SPOOL, ends_complete=True),
+                "slip_stiffness": Range(_LEAST_SLIP_STIFFNESS, _MOST_SLIP_STIFFNESS, 0.005, _TRACKS),
+            }
+            return Search(ranges, ({**start, "slip_stiffness": _USUAL_SLIP_STIFFNESS},))
+        return Search({"yaw_damping": Range(0.0, 5.0, 0.01, _LOCKED)}, (start,))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         damping = amount(p["yaw_damping"], one_sided=True)
-        falling = " at low speed, and less the faster the car is," if variant == "slip" else ""
+        falling = " at low speed, and less the faster the car is," if variant in _OF_SLIP else ""
         return f"a yaw damping of {damping}{falling} opposes turning, as a locked differential does"
 
     def external(self, flow: Flow) -> None:
@@ -176,34 +198,35 @@ class YawMomentDifferential(Term):
         damping, dragged = self.parameters["yaw_damping"], flow.r
         if self.variant == "driven":
             dragged = flow.r - self._spun(flow)
-        elif self.variant == "slip":
-            limit = self._tire_limit(flow.vehicle)
+        elif self.variant in _OF_SLIP:
+            limit = self._tire_limit(flow)
             dragged = flow.r - flow.vx * self._moment_of_loads(flow) / limit
             damping = damping / (1.0 + damping * flow.vx / limit)
         flow.moment = flow.moment - damping * dragged
 
     @staticmethod
-    def _driven(car: Vehicle) -> tuple[bool, bool]:
-        """Return whether the front axle is driven, and whether the rear axle is."""
-        return car.drive_split_front > 0.0, car.drive_split_front < 1.0
+    def _coupled(car: Vehicle, variant: str) -> tuple[bool, bool]:
+        """Return whether the front axle's wheels are coupled, and whether the rear axle's are."""
+        return car.drive_split_front > 0.0 and variant != "rear slip", car.drive_split_front < 1.0
 
-    @classmethod
-    def _tire_limit(cls, car: Vehicle) -> float:
+    def _tire_limit(self, flow: Flow) -> Any:
         """Return K, the moment of locked axles over r/v_x [N m]."""
-        tires = (car.front_tire, car.rear_tire)
-        stiffness = sum(tire.cornering_stiffness for tire, on in zip(tires, cls._driven(car), strict=True) if on)
-        return _SLIP_OVER_CORNERING * car.wheelbase**2 * stiffness
+        ops = flow.ops
+        secants = []
+        for axle, on in zip((flow.front, flow.rear), self._coupled(flow.vehicle, self.variant), strict=True):
+            if on:
+                angle = ops.sqrt(axle.slip_angle * axle.slip_angle + _SMALL_SLIP_ANGLE**2)
+                secants.append(lateral_force(axle.B, axle.C, axle.D, angle, ops) / angle)
+        return self.parameters["slip_stiffness"] * flow.vehicle.wheelbase**2 * sum(secants)
 
-    @classmethod
-    def _moment_of_loads(cls, flow: Flow) -> Any:
+    def _moment_of_loads(self, flow: Flow) -> Any:
         """Return the moment of the driving forces if the wheels of an axle slip alike, so that loads share them [N m].
 
         A wheel's share is that of its load, which the lateral acceleration moves by h a_y/(g w) of the axle's.
         """
-        car = flow.vehicle
-        axles = (flow.front, flow.rear)
-        force = sum(axle.longitudinal_force for axle, on in zip(axles, cls._driven(car), strict=True) if on)
-        return force * _STIFFER_WITH_LOAD * cg_height(car) * cls._side(flow)
+        coupled = zip((flow.front, flow.rear), self._coupled(flow.vehicle, self.variant), strict=True)
+        force = sum(axle.longitudinal_force for axle, on in coupled if on)
+        return force * cg_height(flow.vehicle) * self._side(flow)
 
     @staticmethod
     def _side(flow: Flow) -> Any:

@@ -36,6 +36,8 @@ class Range:
     source: str = ""  # of the bounds: a text, a standard, or ``judgement: ...``
     # Whether nothing is left of a quantity at the lower bound (no play, no drag), so that a value there is physical.
     ends_at_none: bool = False
+    # Whether the effect is complete at the upper bound (a locked axle), so that a value there is physical.
+    ends_complete: bool = False
     share_of_whole: bool = False  # whether it is the lost share p of a quantity, of which the ratio 1 - p > 0 is left
     # Whether the term equals another term at the lower bound, so that a value there is not claimed.
     ends_as_another: bool = False
@@ -52,7 +54,7 @@ class Range:
         """Return the range four times as wide about `neutral`, to see which value beyond its bounds would fit.
 
         A ratio, neutral at 1, is widened in its logarithm, and a lost share p in the logarithm of 1 - p. A bound at
-        the neutral value stays, as does a lower bound with `ends_at_none`.
+        the neutral value stays, as does a lower bound with `ends_at_none` and an upper one with `ends_complete`.
         """
         if neutral == 1.0:
             return replace(self, lower=self.lower / _WIDER, upper=_WIDER * self.upper)
@@ -60,7 +62,8 @@ class Range:
             least, most = (1.0 - self.upper) / _WIDER, _WIDER * (1.0 - self.lower)
             return replace(self, lower=1.0 - most, upper=1.0 - least)
         lower = self.lower if self.ends_at_none else neutral + _WIDER * (self.lower - neutral)
-        return replace(self, lower=lower, upper=neutral + _WIDER * (self.upper - neutral))
+        upper = self.upper if self.ends_complete else neutral + _WIDER * (self.upper - neutral)
+        return replace(self, lower=lower, upper=upper)
 
 
 @dataclass(frozen=True)

@@ -83,6 +83,8 @@ class Term:
         Their units.
     neutral : mapping of str to float
         Values at which the term vanishes; parameters it does not name are free at that point.
+    constants : frozenset of str
+        Parameters that say how the effect acts, and not how large it is. They have no neutral value.
     exported : bool
         Whether the term is part of the car (sensor terms are not).
     through_tires : bool
@@ -150,6 +152,7 @@ class Term:
     state_units: ClassVar[Mapping[str, str]] = {}
     mimics: ClassVar[tuple[Mimic, ...]] = ()
     neutral: ClassVar[Mapping[str, float]] = {}
+    constants: ClassVar[frozenset[str]] = frozenset()
     exported: ClassVar[bool] = True
     through_tires: ClassVar[bool] = False
     states_peak: ClassVar[bool] = False
