@@ -47,9 +47,10 @@ class DiagnosisCase:
     keep_holdout: tuple[np.ndarray, ...] = ()
     # The simulated recordings, whitened with the noise and disturbance of the real ones.
     rewhitened: tuple[Evidence, ...] = ()
-    # predicting, settling: of the real recordings, see `gather_evidence`.
+    # predicting, settling, explaining: of the real recordings, see `gather_evidence`.
     predicting: tuple[Term, ...] = ()
     settling: tuple[Term, ...] = ()
+    explaining: tuple[Term, ...] = ()
 
     def compared(self, reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case that compares real rows within the distance `reach` of a simulated one, see `comparable`."""
@@ -76,12 +77,13 @@ class DiagnosisCase:
         Models are evaluated at predicted states, and a linearisation leads from there to the measured ones. A car that
         is damped in another way than the nominal model answers differently to the noise of these states. Predicted by
         the nominal model, and with that model linearised, a part of the noise looks like an effect. The same rows are
-        compared as before. Faults that correct channels do not count; without other terms the case stays as it is.
+        compared as before. Disturbance and robust weights come from what the terms leave. Faults that correct channels
+        are no part of the model; without other terms the case stays as it is.
         """
         found = tuple(term for term in terms if term.moves_car and not term.corrects)
         if not found:
             return self
-        case = replace(self, predicting=(*self.discrepancy.shared_terms, *found))
+        case = replace(self, predicting=(*self.discrepancy.shared_terms, *found), explaining=tuple(terms))
         real, holdout = (
             case._gathered([one.series for one in several], policy.believing) for several in (self.real, self.holdout)
         )
@@ -89,7 +91,7 @@ class DiagnosisCase:
 
     def _gathered(self, series: Sequence[Series], rules: Believing) -> list[Evidence]:
         """Whiten real recordings in the way of this case."""
-        asked = self.discrepancy, self.simulated, rules, self.predicting, self.settling
+        asked = self.discrepancy, self.simulated, rules, self.predicting, self.settling, self.explaining
         return map_in_threads(lambda one: _gathered(self.vehicle, one, *asked), series)
 
     def judged_with_residue(self) -> DiagnosisCase:
@@ -180,9 +182,10 @@ def _gathered(
     rules: Believing,
     predicting: Sequence[Term],
     settling: Sequence[Term] | None = None,
+    explaining: Sequence[Term] = (),
 ) -> Evidence:
     """Whiten a real recording, with at least the disturbance of the simulated ones."""
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
-    own = gather_evidence(vehicle, series, discrepancy, least, rules, predicting, settling)
+    own = gather_evidence(vehicle, series, discrepancy, least, rules, predicting, settling, explaining)
     # Without a simulation nothing is shared.
     return own if simulated else replace(own, discrepancy=np.empty((*own.nominal_rows.shape, 0)))

@@ -83,11 +83,8 @@ class Evidence:
         """
         measured, predicted = self.series.evaluated(terms)
         every = (*terms, *self.shared_terms)
-        rates = self.series.rates(extended_model(self.vehicle, every), predicted)
-        if discrepancy_rates is not None:
-            rates = rates + discrepancy_rates
-        late = _by_late_steering(self.vehicle, self.series, self.linear, every)
-        return self._moved(measured, predicted) - integrated(self.series, rates, self.linear) - late
+        by_model = _by_model(self.vehicle, self.series, self.linear, every, predicted, discrepancy_rates)
+        return self._moved(measured, predicted) - by_model
 
     def rates_left(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
         """Return `defects` as rates in the middle of the samples, (N - 1, 3) [m/s^2], [m/s^2], [rad/s^2]."""
@@ -140,11 +137,21 @@ def _to_motion(linear: Linearisation, halfway: np.ndarray) -> np.ndarray:
     return linear.to_motion @ halfway
 
 
-def _by_late_steering(
-    vehicle: Vehicle, series: Series, linear: Linearisation, terms: Sequence[Term]
-) -> np.ndarray | float:
-    """Return the motion, (N - 1, 3), by steering that changes within samples, see `Linearisation.of_first_moment`."""
-    return 0.0 if linear.by_steer is None else linear.of_first_moment(series.steer_first_moment(vehicle, terms))
+def _by_model(
+    vehicle: Vehicle,
+    series: Series,
+    linear: Linearisation,
+    terms: Sequence[Term],
+    predicted: np.ndarray,
+    further_rates: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the motion, (N - 1, 3), that a model of terms expects, with further rates (N, 3) beside its own.
+
+    Steering that changes within samples adds `Linearisation.of_first_moment`.
+    """
+    rates = series.rates(extended_model(vehicle, terms), predicted)
+    out = integrated(series, rates if further_rates is None else rates + further_rates, linear)
+    return out if linear.by_steer is None else out + linear.of_first_moment(series.steer_first_moment(vehicle, terms))
 
 
 def _integrated_blocks(series: Series, discrepancy: SharedDiscrepancy, linear: Linearisation) -> Iterator[np.ndarray]:
@@ -165,6 +172,7 @@ def gather_evidence(
     rules: Believing = STANDARD.believing,
     predicting: Sequence[Term] | None = None,
     settling: Sequence[Term] | None = None,
+    explaining: Sequence[Term] = (),
 ) -> Evidence:
     """Whiten a recording; the variance of the disturbances is estimated by maximum likelihood.
 
@@ -177,14 +185,22 @@ def gather_evidence(
         terms of the discrepancy.
     settling : sequence of Term, optional
         Terms whose lags decide how long a segment's begin is left out; by default `predicting`.
+    explaining : sequence of Term, optional
+        An explanation beside the shared terms. What it leaves gives the disturbance and the robust weights; what
+        it explains would count as disturbance, where it is no function of the operating point, as a lag.
     """
     predicting = discrepancy.shared_terms if predicting is None else predicting
     series = predicted_by_model(series, vehicle, _samples_of_a_row(series), predicting)
     linear = linearise(vehicle, series, predicting)
     model = noise_model(linear)
-    rates = series.rates(extended_model(vehicle, discrepancy.shared_terms))
-    late = _by_late_steering(vehicle, series, linear, discrepancy.shared_terms)
-    plain = motion(series, linear, series.measured, series.predicted) - integrated(series, rates, linear) - late
+    shared = discrepancy.shared_terms
+    plain = motion(series, linear, series.measured, series.predicted)
+    plain -= _by_model(vehicle, series, linear, shared, series.predicted)
+    unexplained = plain
+    if explaining:
+        measured, predicted = series.evaluated(explaining)
+        unexplained = motion(series, linear, measured, predicted)
+        unexplained -= _by_model(vehicle, series, linear, (*explaining, *shared), predicted)
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)
@@ -197,16 +213,17 @@ def gather_evidence(
     for _ in range(2):
         whitener = build_whitener(model, series.stated_noise, disturbance, series.period, begins, group)
         columns = _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy, linear))
-        w = _discrepancy_weights(whitener(plain), columns, kept)
-        left = plain - integrated(series, discrepancy.rates(series, w), linear)
+        w = _discrepancy_weights(whitener(unexplained), columns, kept)
+        left = unexplained - integrated(series, discrepancy.rates(series, w), linear)
         disturbance = _likely_disturbance(series, model, left, begins, rolls, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
     whitener = build_whitener(model, series.stated_noise, disturbance, series.period, begins, group)
     u, phi = whitener(plain), _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy, linear))
-    left = u - phi @ _discrepancy_weights(u, phi, kept)
+    left = whitener(unexplained) if explaining else u
+    left = left - phi @ _discrepancy_weights(left, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
-    return Evidence(vehicle, series, linear, whitener, u, phi, at, disturbance, weight, rolls, discrepancy.shared_terms)
+    return Evidence(vehicle, series, linear, whitener, u, phi, at, disturbance, weight, rolls, shared)
 
 
 def rewhitened_with_noise(
