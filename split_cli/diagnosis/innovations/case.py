@@ -77,8 +77,11 @@ class DiagnosisCase:
         Models are evaluated at predicted states, and a linearisation leads from there to the measured ones. A car that
         is damped in another way than the nominal model answers differently to the noise of these states. Predicted by
         the nominal model, and with that model linearised, a part of the noise looks like an effect. The same rows are
-        compared as before. Disturbance and robust weights come from what the terms leave. Faults that correct channels
-        are no part of the model; without other terms the case stays as it is.
+        compared as before.
+
+        Disturbance and robust weights come from what the terms leave, and the simulation is whitened and learned again
+        with this disturbance. Faults that correct channels are no part of the model; without other terms the case
+        stays as it is.
         """
         found = tuple(term for term in terms if term.moves_car and not term.corrects)
         if not found:
@@ -87,7 +90,12 @@ class DiagnosisCase:
         real, holdout = (
             case._gathered([one.series for one in several], policy.believing) for several in (self.real, self.holdout)
         )
-        return replace(case, real=tuple(real), holdout=tuple(holdout))
+        case = replace(case, real=tuple(real), holdout=tuple(holdout))
+        before, after = (_largest_disturbance(several) for several in (self.real, real))
+        if not self.simulated or np.array_equal(before, after):
+            return case
+        rewhitened, posterior = _learned(case.simulated, real, case.discrepancy, policy)
+        return replace(case, rewhitened=rewhitened, posterior=posterior)
 
     def _gathered(self, series: Sequence[Series], rules: Believing) -> list[Evidence]:
         """Whiten real recordings in the way of this case."""
@@ -147,10 +155,7 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules, predicting), by_role[role])
         for role in ("real", "holdout")
     )
-    noise = np.median([one.series.stated_noise for one in real], axis=0)
-    disturbance = np.max([one.disturbance for one in real], axis=0)
-    rewhitened = [rewhitened_with_noise(one, noise, disturbance, discrepancy) for one in simulated]
-    posterior = learn_discrepancy(rewhitened, policy.comparison.variance_inflation, rules) if rewhitened else None
+    rewhitened, posterior = _learned(simulated, real, discrepancy, policy) if simulated else ((), None)
     theirs = [one for series in by_role["sim"] for one in build_witnesses(series, rules=rules)]
     usual_by_kind = usual_weights_by_kind(theirs)
     kinematics = [one for series in by_role["real"] for one in build_witnesses(series, usual_by_kind, rules)]
@@ -167,11 +172,25 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         tuple(kinematics),
         tuple(theirs),
         tuple(simulated),
-        rewhitened=tuple(rewhitened),
+        rewhitened=rewhitened,
         predicting=tuple(predicting),
         settling=tuple(predicting),
     )
     return case.compared(policy.comparison.reach, policy)
+
+
+def _learned(
+    simulated: Sequence[Evidence], real: Sequence[Evidence], discrepancy: SharedDiscrepancy, policy: Policy
+) -> tuple[tuple[Evidence, ...], DiscrepancyPosterior]:
+    """Return the simulations whitened with noise and disturbance of reality, and the discrepancy that they show."""
+    noise = np.median([one.series.stated_noise for one in real], axis=0)
+    disturbance = _largest_disturbance(real)
+    rewhitened = tuple(rewhitened_with_noise(one, noise, disturbance, discrepancy) for one in simulated)
+    return rewhitened, learn_discrepancy(rewhitened, policy.comparison.variance_inflation, policy.believing)
+
+
+def _largest_disturbance(several: Sequence[Evidence]) -> np.ndarray:
+    return np.max([one.disturbance for one in several], axis=0)
 
 
 def _gathered(
@@ -185,7 +204,7 @@ def _gathered(
     explaining: Sequence[Term] = (),
 ) -> Evidence:
     """Whiten a real recording, with at least the disturbance of the simulated ones."""
-    least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
+    least = _largest_disturbance(simulated) if simulated else None
     own = gather_evidence(vehicle, series, discrepancy, least, rules, predicting, settling, explaining)
     # Without a simulation nothing is shared.
     return own if simulated else replace(own, discrepancy=np.empty((*own.nominal_rows.shape, 0)))

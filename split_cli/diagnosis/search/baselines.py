@@ -101,14 +101,15 @@ def search(
     """
     progress("comparing")
     objective = _objective_of(case, policy)
-    tested = _self_test_of(case, candidates, reach, policy)
-    tested_fixed = cache(partial(_self_test_of, case, candidates, reach, policy, fixed_baseline=True))
+    tested, tested_fixed = _self_tests_of(case, candidates, reach, policy)
     progress("naming")
     found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress)
     terms = found.selection.chosen.terms
     again = case.whitened_about(terms, policy)
     if again is not case and _differ(objective, other := _objective_of(again, policy), terms):
         progress("naming again beside what was found")
+        if again.rewhitened is not case.rewhitened:
+            tested, tested_fixed = _self_tests_of(again, candidates, reach, policy)
         case, objective = again, other
         del found  # its caches are as large as those of the second search
         found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress)
@@ -303,6 +304,14 @@ def with_witnessed_names(outcome: SearchOutcome) -> SearchOutcome:
     objective, chosen = outcome.structure.objective, outcome.selection.chosen
     seen = [is_witnessed(objective, chosen, k) for k in range(len(chosen.parts))]
     return replace(outcome, selection=_only_named(outcome.selection, seen))
+
+
+def _self_tests_of(
+    case: DiagnosisCase, candidates: Sequence[Candidate], reach: float, policy: Policy
+) -> tuple[SelfTest, Callable[[], SelfTest]]:
+    """Return the self-test with a marginalised baseline, and a function that computes the one with a fixed baseline."""
+    asked = partial(_self_test_of, case, candidates, reach, policy)
+    return asked(), cache(partial(asked, fixed_baseline=True))
 
 
 def _self_test_of(
