@@ -444,5 +444,5 @@ def _offset_remark(problem: _Problem, chosen: LeastSquaresFit, axle: str, fitted
         return []
     return [
         f"{axle}: slip angles seem off by {-offset:+.4f} +- {2 * error:.4f} rad (lateral velocity or steer offset). "
-        "The fit takes that off; correct it in the signal map"
+        "The curve was fitted with such an offset beside it; correct it in the signal map"
     ]
