@@ -160,6 +160,16 @@ class Improvement:
     trust: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
+    def corrects_simulation(self) -> bool:
+        """Whether the terms improve what the simulation itself predicts: some error beyond chance, and none gets worse.
+
+        False if the shared discrepancy is left out, as without a simulation.
+        """
+        removed, last = self.removed.get("physics"), self.rollouts[-1] if self.rollouts else None
+        uses_simulation = any(way != "nominal" for way in self.simulation_part.get("physics", {}).values())
+        return uses_simulation and last is not None and not last.worse("physics") and bool(removed) and removed[1] > 0.0
+
+    @property
     def shows_gap(self) -> bool:
         """Whether held-out time shows the gap at all; an effect at one place may lie outside it."""
         shown = [b / max(n, 1e-12) for one in self.rollouts for b, n in zip(one.before, one.noise_floor, strict=True)]

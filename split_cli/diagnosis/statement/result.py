@@ -324,9 +324,12 @@ class Diagnosis:
 
     @property
     def doubt(self) -> str:
-        """What speaks against the names, as a sentence that goes before all that speaks for them; empty if nothing."""
+        """What speaks against the names or their file, said before all that speaks for them; empty if nothing does."""
         if self.corrected_vehicle is None or self.corrected_vehicle.accepted or not self.findings:
             return ""
+        if self.improvement is not None and self.improvement.corrects_simulation:
+            # The file lacks what the simulation has, too, and that may have cancelled with a finding.
+            return "The names hold beside the simulation. The vehicle file alone predicts held-out data worse with them."
         return "Do not rely on these names yet: held-out data are predicted worse with them than with the given file."
 
     @property
