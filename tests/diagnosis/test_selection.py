@@ -15,7 +15,7 @@ from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, without_parts
 from split_cli.diagnosis.search.forward import other_beginnings
-from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
+from split_cli.diagnosis.search.selection import Selection, nothing
 from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import (
@@ -191,30 +191,6 @@ def test_two_terms_are_found_behind_one_that_is_the_best_alone():
     values = {part.candidate.term: part.values for part in selection.chosen.parts}
     assert values["steer_lag"]["tau"] == pytest.approx(0.05, rel=0.03)
     assert values["drive_delay"]["delay"] == pytest.approx(0.12, rel=0.03)
-
-
-def test_a_search_that_begins_with_an_explanation_ends_where_one_from_nothing_does():
-    """Begun with the truth and a term too many, and with the wrong term that is best alone."""
-    objective = objective_with(steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12))
-    names = ("drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay", "aero_drag")
-    candidates = candidates_of(objective, *names)
-    plain = {one.term: one for one in candidates if not one.variant}
-    alone = selected(objective, *candidates)
-    assert named(alone) == {"steer_lag", "drive_delay"}
-    values = {"steer_lag": {"tau": 0.03}, "drive_delay": {"delay": 0.1}, "aero_drag": {"drag": 1e-4}}
-    near = [(Part(plain[term], dict(value)), term != "aero_drag") for term, value in values.items()]
-    wrong = [(Part(plain["sensor_delay"], {"delay": 0.03}), True)]
-    for begun in (near, wrong):
-        found = select_terms(objective, tuple(candidates), INFLATION, begun=begun)
-        assert found.history[0].startswith("begun with ") and named(found) == named(alone)
-        # From nothing the delay that was best alone stays as a nuisance term, of 28 in 6,100.
-        assert found.chosen.cost == pytest.approx(alone.chosen.cost, rel=0.01)
-        # Both count the best term alone.
-        assert found.first_p == pytest.approx(alone.first_p) and found.first_p < 1e-6
-        for part in found.chosen.parts:
-            if part.candidate.term in named(alone):
-                (same,) = (one for one in alone.chosen.parts if one.candidate.term == part.candidate.term)
-                assert part.values == pytest.approx(same.values, rel=0.03)
 
 
 def test_two_terms_that_hide_each_other_are_found_beside_a_third(monkeypatch):
