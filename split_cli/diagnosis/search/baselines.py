@@ -27,7 +27,6 @@ from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, buil
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
-from split_cli.diagnosis.search.forward import Explanation
 from split_cli.diagnosis.search.late_channel import with_late_channel
 from split_cli.diagnosis.search.off_centre import with_offset_of_straights
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms, with_chosen
@@ -112,9 +111,8 @@ def search(
         if again.rewhitened is not case.rewhitened:
             tested, tested_fixed = _self_tests_of(again, candidates, reach, policy)
         case, objective = again, other
-        begun = list(zip(found.selection.chosen.parts, found.selection.named, strict=True))
         del found  # its caches are as large as those of the second search
-        found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress, begun)
+        found = _search_by_baselines(candidates, objective, tested, tested_fixed, progress)
     late = [term for term in found.selection.terms if term.moves_samples]
     if late:
         progress("naming with the late channel put right")
@@ -140,19 +138,17 @@ def _search_by_baselines(
     tested: SelfTest,
     tested_fixed: Callable[[], SelfTest],
     progress: Callable[[str], None],
-    begun: Explanation = (),
 ) -> SearchOutcome:
     """Search with a marginalised baseline, and with a fixed one if model-form error is large.
 
-    `tested` and `tested_fixed` are the self-tests of the simulation with either baseline. Both searches continue from
-    the explanation `begun`, if given.
+    `tested` and `tested_fixed` are the self-tests of the simulation with either baseline.
     """
-    first = _search(objective, candidates, tested, begun)
+    first = _search(objective, candidates, tested)
     if tested.ratio <= objective.policy.selection.much_over_noise:
         asked = first.structure.objective, first.selection, candidates, first.variance_inflation
         return replace(first, selection=with_offset_of_straights(*asked))
     progress("naming with a fixed baseline")
-    again = search_with_fixed_baseline(candidates, objective, tested_fixed(), begun)
+    again = search_with_fixed_baseline(candidates, objective, tested_fixed())
     again = with_names_of_first(first, again, candidates)
     found = reconciled(first, again, objective.policy.selection)
     asked = found if any(found.selection.named) else again
@@ -161,7 +157,7 @@ def _search_by_baselines(
 
 
 def search_with_fixed_baseline(
-    candidates: Sequence[Candidate], objective: MarginalLikelihood, tested: SelfTest, begun: Explanation = ()
+    candidates: Sequence[Candidate], objective: MarginalLikelihood, tested: SelfTest
 ) -> SearchOutcome:
     """Search with a fixed baseline on the rows and with the policy of a marginalised objective."""
     policy = objective.policy
@@ -169,7 +165,7 @@ def search_with_fixed_baseline(
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
     # Small terms are model-form error here, and would share the saving of a delay.
     alone = replace(policy, selection=replace(policy.selection, most_nuisances=0))
-    return _search(replace(objective.with_fixed_baseline(), policy=alone), wide, tested, begun)
+    return _search(replace(objective.with_fixed_baseline(), policy=alone), wide, tested)
 
 
 def reconciled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -> SearchOutcome:
@@ -337,9 +333,7 @@ def _self_test_of(
     )
 
 
-def _search(
-    objective: MarginalLikelihood, candidates: Sequence[Candidate], tested: SelfTest, begun: Explanation = ()
-) -> SearchOutcome:
+def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], tested: SelfTest) -> SearchOutcome:
     """Search on one objective, with the thresholds of a self-test."""
     objective = tested.allow(objective)
     pieces = [flexible_rows(one, objective.discrepancy) for one in objective.evidence]
@@ -365,7 +359,6 @@ def _search(
         variance_inflation,
         lambda fit: is_structure(residuals_beside_form_error(objective, fit)),
         lambda fit: is_structure(fit.residuals),
-        begun,
     )
     selection = with_variants_by_rollout(structure, candidates, selection, variance_inflation)
     return SearchOutcome(structure, gap, selection, tested, variance_inflation, (objective,), oscillators)

@@ -14,15 +14,8 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start, repeats_a_delay
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_to_form_error
-from split_cli.diagnosis.search.forward import is_refused_last, refusal, sizes_with_form_error
-from split_cli.diagnosis.search.joint import (
-    all_at_once,
-    cheapest_first,
-    estimated_removal_costs,
-    estimated_removal_of_several,
-    estimated_saving_of_all,
-    without_needless,
-)
+from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
+from split_cli.diagnosis.search.joint import estimated_removal_costs, estimated_removal_of_several, without_needless
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -96,23 +89,6 @@ def _mergers_by_estimated_cost(
     most = explore.variance_inflation * explore.rules.price
     cheapest = [one for several in found for one in several if one[0] < most]
     return [(kept, out) for _, kept, out in sorted(cheapest, key=lambda one: one[0])]
-
-
-def jointly_searched(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
-    """Return the joint fit of all terms, without those that are refused beside the others; None if it is no better."""
-    if estimated_saving_of_all(explore, chosen) < explore.rules.price:
-        return None
-    fit = all_at_once(explore, base, chosen)
-    left = len(fit.parts)
-    while left > 1:
-        for k in cheapest_first(explore, fit):
-            rest = fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :], slopes_of=fit)
-            if is_refused_last(explore, rest, fit, k):
-                fit, left = rest, left - 1
-                break
-        else:
-            break
-    return fit if is_better_beside_form_error(explore, fit, chosen) else None
 
 
 def is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:

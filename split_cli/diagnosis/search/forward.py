@@ -8,7 +8,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fits_without
+from split_cli.diagnosis.search.fitting import Fit, fits_without
 from split_cli.diagnosis.search.form_error import saved_beside_form_error, share_of_error
 from split_cli.diagnosis.search.pairs import estimated_pairs, with_pair
 from split_cli.diagnosis.search.term_tests import (
@@ -25,9 +25,6 @@ from split_cli.diagnosis.search.term_tests import (
     witnessed_p,
 )
 from split_cli.vehicle.effects import Term
-
-#: Parts of an explanation, and whether each is named; the others are nuisance terms.
-Explanation = Sequence[tuple[Part, bool]]
 
 #: Reasons of a refusal, for the history.
 _AGAINST_YAW = "contradicted by the recorded yaw"
@@ -120,7 +117,8 @@ def search_forward(
             break
         label, saved = best.parts[-1].candidate.label, price_saved(best)
         p_value, small, spread = _significance(explore, chosen, best)
-        first_p = min(first_p, _counted_p(explore, p_value, small, spread))
+        # The p value of a sensor error within tolerance says nothing of other terms.
+        first_p = min(first_p, p_value if spread and not (small and p_value < rules.level) else 1.0)
         if small or not spread:
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _FEW_MOMENTS}")
             nuisances += 1
@@ -140,43 +138,6 @@ def search_forward(
         history[begun_at:] = [f"{label} would save {saved:.0f}, {_FEW_MOMENTS}"]
     names = len(chosen.parts) - nuisances
     return ForwardResult(chosen, refused or chosen, names, tuple(history), first_p)
-
-
-def continue_search(explore: Explorer, base: Fit, first: Sequence[Fit], begun: Explanation) -> ForwardResult:
-    """Continue a forward search from an explanation of the same recordings, found on other rows.
-
-    Its parts are fitted to these rows, and those that are not worth their price here are dropped.
-
-    Parameters
-    ----------
-    first : sequence of Fit
-        Fits of each term alone, best first.
-    begun : Explanation
-        Without any part, the search begins with the best of `first`.
-    """
-    if not begun:
-        return search_forward(explore, base, first)
-    parts = [part for part, _ in begun]
-    fitted = fit_parts(explore.objective, parts)
-    pruned, dropped = _prune(explore, fitted, kept=0)
-    kept = {part.candidate.label for part in pruned.parts}
-    nuisances = sum(not named and part.candidate.label in kept for part, named in begun)
-    found = search_forward(explore, base, begun=pruned, nuisances=nuisances)
-    p_values = [_counted_p(explore, *_significance(explore, base, first[0]))] if first else []
-    if not min(p_values, default=1.0) < 1.0:
-        # The best single term is a sensor error within tolerance, for example.
-        for k, without in enumerate(fits_without(explore.objective, pruned, range(len(pruned.parts)))):
-            last = replace(pruned, parts=(*pruned.parts[:k], *pruned.parts[k + 1 :], pruned.parts[k]))
-            p_values.append(_counted_p(explore, *_significance(explore, without, last)))
-    labels = ", ".join(part.candidate.label for part in parts)
-    history = (f"begun with {labels}", *dropped, *found.history)
-    return replace(found, history=history, first_p=min([found.first_p, *p_values]))
-
-
-def _counted_p(explore: Explorer, p_value: float, small: bool, spread: bool) -> float:
-    """Return a p value as `Selection.first_p` counts it, with the verdicts of `_significance`."""
-    # The p value of a sensor error within tolerance says nothing of other terms.
-    return p_value if spread and not (small and p_value < explore.rules.level) else 1.0
 
 
 def _significance(explore: Explorer, chosen: Fit, further: Fit) -> tuple[float, bool, bool]:
@@ -224,11 +185,11 @@ def leaves_car_range(chosen: Fit, further: Fit) -> bool:
     return bool(at_limit(further) - at_limit(chosen))
 
 
-def _prune(explore: Explorer, fit: Fit, kept: int = 1) -> tuple[Fit, list[str]]:
-    """Return a fit without parts that are not worth their price, but the last `kept`, and the history in words."""
+def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
+    """Return a fit without earlier parts that are no longer worth their price, and the history in words."""
     history = []
     while len(fit.parts) > 1:
-        reduced = fits_without(explore.objective, fit, range(len(fit.parts) - kept))
+        reduced = fits_without(explore.objective, fit, range(len(fit.parts) - 1))
         best = min(reduced, key=explore.price)
         if explore.price(best) > explore.price(fit):
             break

@@ -15,7 +15,7 @@ from split_cli.diagnosis.search.exchange import (
     fewer_by_another_variant,
     in_places_of_two,
     inverted_stretch,
-    jointly_searched,
+    is_better_beside_form_error,
     move_in_words,
     one_as_pair,
     pair_as_one,
@@ -25,9 +25,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
 from split_cli.diagnosis.search.forward import (
-    Explanation,
     ForwardResult,
-    continue_search,
     is_beyond_form_error,
     is_refused_last,
     leaves_car_range,
@@ -35,7 +33,7 @@ from split_cli.diagnosis.search.forward import (
     search_forward,
     sizes_with_form_error,
 )
-from split_cli.diagnosis.search.joint import out_of_local_minimum
+from split_cli.diagnosis.search.joint import all_at_once, cheapest_first, estimated_saving_of_all, out_of_local_minimum
 from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_beside_tolerated
 from split_cli.diagnosis.search.term_tests import (
     contradicts_yaw,
@@ -102,7 +100,6 @@ def select_terms(
     variance_inflation: float,
     leaves_structure: Callable[[Fit], bool] = lambda fit: True,
     leaves_more_than_noise: Callable[[Fit], bool] = lambda fit: False,
-    begun: Explanation = (),
 ) -> Selection:
     """Return the explanation of an objective, after a search over terms; docs/inside_diagnosis.md lists its steps.
 
@@ -115,14 +112,12 @@ def select_terms(
         all terms are fitted jointly.
     leaves_more_than_noise : callable
         Whether a fit leaves more than noise. If not, it is not compared with the effects of every car.
-    begun : Explanation, optional
-        Where the search begins, see `continue_search`.
     """
     rules = objective.policy.selection
     explore = Explorer(objective, tuple(candidates), variance_inflation)
     base = nothing(objective)
     first = explore(base)
-    found = continue_search(explore, base, first, begun)
+    found = search_forward(explore, base, first)
     # Several terms may imitate one and fit better because of its model-form error, which is added to their price.
     burden = rules.form_error_cost * (base.cost - found.chosen.cost) / variance_inflation
 
@@ -143,7 +138,7 @@ def select_terms(
     jointly = None
     many = found.names > rules.few_names
     if many or (found.leaves_remainder and leaves_structure(found.with_large_refused(base, rules))):
-        jointly = jointly_searched(explore, base, found.with_large_refused(base, rules))
+        jointly = _all_at_once(explore, base, found.with_large_refused(base, rules))
     if jointly is not None:
         chosen, history = jointly, [*found.history, f"joint search: {move_in_words(found.chosen, jointly)}"]
     else:
@@ -184,6 +179,23 @@ def select_terms(
     explore.close()
     acting = cache(partial(partly, selection.chosen))
     return replace(selection, first_p=found.first_p, first=tuple(first), beside=explore, partly=acting)
+
+
+def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
+    """Return the joint fit of all terms, without those that are refused beside the others; None if it is no better."""
+    if estimated_saving_of_all(explore, chosen) < explore.rules.price:
+        return None
+    fit = all_at_once(explore, base, chosen)
+    left = len(fit.parts)
+    while left > 1:
+        for k in cheapest_first(explore, fit):
+            rest = fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :], slopes_of=fit)
+            if is_refused_last(explore, rest, fit, k):
+                fit, left = rest, left - 1
+                break
+        else:
+            break
+    return fit if is_better_beside_form_error(explore, fit, chosen) else None
 
 
 def _named_of_every_car(explore: Explorer, base: Fit, whole: Fit) -> Selection:
