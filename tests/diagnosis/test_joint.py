@@ -39,7 +39,8 @@ OTHERS = ("aero_downforce", "tire_stiffness", "friction_scale", "cg_shift", "rol
 @pytest.fixture(scope="module")
 def explore() -> Explorer:
     objective = noisy_objective(driven(41, [CATALOGUE[term](values) for term, values in TRUE.items()]), 3)
-    return explorer(objective, *TRUE, *OTHERS)
+    # The coupling of the differential is a weak one, which no slip limits.
+    return explorer(objective, *(one for one in candidates_of(objective, *TRUE, *OTHERS) if "slip" not in one.variant))
 
 
 def test_terms_that_a_wrong_beginning_hides_are_found(explore):
