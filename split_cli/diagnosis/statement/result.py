@@ -329,7 +329,7 @@ class Diagnosis:
             return ""
         if self.improvement is not None and self.improvement.corrects_simulation:
             # The file lacks what the simulation has, too, and that may have cancelled with a finding.
-            return "The names hold beside the simulation. The vehicle file alone predicts held-out data worse with them."
+            return "The names hold beside the simulation. The file alone predicts held-out data worse with them."
         return "Do not rely on these names yet: held-out data are predicted worse with them than with the given file."
 
     @property
