@@ -16,7 +16,8 @@ from split_cli.vehicle.effects import Term
 
 _ITERATIONS = 12  # iterations of a fit at most [1]
 _JOINT_ITERATIONS = 6  # iterations of a fit of all terms at once, which only shows which are needed [1]
-_LEAST_GAIN = 0.02  # gain of a step below which a fit ends [chi squared]
+# Gain of a step below which a fit ends [chi squared], times the variance of its residuals where these exceed noise.
+_LEAST_GAIN = 0.02
 #: Error of the predicted change of the residuals, over that change, up to which derivatives are updated instead of
 #: computed [1]. Judgement: nine drives of development keep verdicts, names and sizes to 0.01 standard errors.
 #: Derivatives are computed whenever a step gains nothing, so this affects time and no result.
@@ -233,7 +234,7 @@ def _fit(
         x,
         lower,
         upper,
-        enough=lambda gained, _: gained < _LEAST_GAIN,
+        enough=lambda gained, cost: gained < _LEAST_GAIN * max(1.0, cost / len(first[1][1])),
         iterations=iterations,
         first=begun,
         update=None if moments is not None or placed else update,
