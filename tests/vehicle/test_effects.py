@@ -296,11 +296,11 @@ def test_a_locked_axle_that_drives_turns_with_the_difference_of_its_wheels_slips
     assert dragged < less < 0.0
 
 
-@pytest.mark.parametrize("coupled", ["all", "rear", "rear of all", "front"])
+@pytest.mark.parametrize("coupled", ["all", "rear", "rear of all", "front", "rear, front driven"])
 def test_tires_that_slip_limit_the_moment_of_a_locked_axle(coupled):
     """-(r - r_0)/(1/d + v_x/K): a weak coupling damps by itself, a locked axle gives what slip permits."""
     at = driving()
-    split = {"all": 0.4, "rear": 0.0, "rear of all": 0.4, "front": 1.0}[coupled]
+    split = {"all": 0.4, "rear": 0.0, "rear of all": 0.4, "front": 1.0, "rear, front driven": 1.0}[coupled]
     in_front, in_rear, share = coupled in ("all", "front"), coupled != "front", 0.12
     car = replace(CAR, drive_split_front=split, brake_split_front=split)
     f = forces(at)
@@ -313,7 +313,7 @@ def test_tires_that_slip_limit_the_moment_of_a_locked_axle(coupled):
     zero, spun = 0.0 * at["vx"], at["vx"] * by_load / limit
     damped = {1.0: (at["r"] - spun) * 1.0, 1e9: limit * at["r"] / at["vx"] - by_load}
     damped[4000.0] = (at["r"] - spun) / (1.0 / 4000.0 + at["vx"] / limit)
-    variant = "rear slip" if coupled == "rear of all" else "slip"
+    variant = "rear slip" if coupled in ("rear of all", "rear, front driven") else "slip"
     for damping, moment in damped.items():
         model = term("yaw_moment_differential", variant, yaw_damping=damping, slip_stiffness=share)
         moved = rates(at, model, car=car) - rates(at, car=car)

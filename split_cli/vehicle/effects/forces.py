@@ -22,9 +22,8 @@ _SPOOL = "judgement: an axle is locked whose coupling is 20 times as stiff as it
 _STORM = "judgement: 30 m/s for a full-size car, a violent storm, in which nobody tests"
 
 # w^2 C_x/4 over L^2 C_F [1], with the track width w, the wheelbase L, an axle's slip stiffness C_x and its cornering
-# stiffness C_F. Judgement: tracks are 0.5 to 0.8 of a wheelbase wide (0.06 to 0.16 of its square), and tyres are up to
-# 1.5 times as stiff along as across (Pacejka, 2012, chapter 4), or half as stiff: between the usual value's third and
-# its fourfold.
+# stiffness C_F. Judgement: tracks are 0.5 to 0.8 of a wheelbase wide (0.06 to 0.16 of its square). Tyres are as stiff
+# along as across or up to 1.5 times as stiff (Pacejka, 2012, chapter 4); from half to 2.5 times is allowed.
 _USUAL_SLIP_STIFFNESS = 0.1
 _LEAST_SLIP_STIFFNESS = 0.03
 _MOST_SLIP_STIFFNESS = 0.4
@@ -207,7 +206,9 @@ class YawMomentDifferential(Term):
     @staticmethod
     def _coupled(car: Vehicle, variant: str) -> tuple[bool, bool]:
         """Return whether the front axle's wheels are coupled, and whether the rear axle's are."""
-        return car.drive_split_front > 0.0 and variant != "rear slip", car.drive_split_front < 1.0
+        if variant == "rear slip":
+            return False, True
+        return car.drive_split_front > 0.0, car.drive_split_front < 1.0
 
     def _tire_limit(self, flow: Flow) -> Any:
         """Return K, the moment of locked axles over r/v_x [N m]."""
