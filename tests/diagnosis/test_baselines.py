@@ -350,3 +350,8 @@ def test_values_at_the_end_of_their_search_are_told_from_others():
     assert not delay.at_limit({"delay": 0.0}) and delay.at_limit({"delay": delay.ranges["delay"].upper})
     assert not drag.at_limit({"drag": drag.ranges["drag"].lower})
     assert not fade.at_limit({"final_loss": 0.2, "tau": fade.ranges["tau"].upper})
+    # A locked axle is as stiff as can be. How stiff its tyres are along is no size of an effect.
+    slip, weak = (candidates[f"yaw_moment_differential{variant}"] for variant in (" (slip)", ""))
+    ends = {name: limit.upper for name, limit in slip.ranges.items()}
+    assert not slip.at_limit(ends) and set(slip.away(ends)) == {"yaw_damping"}
+    assert weak.at_limit({"yaw_damping": weak.ranges["yaw_damping"].upper})

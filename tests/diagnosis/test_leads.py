@@ -55,6 +55,7 @@ def test_a_range_is_widened_about_what_is_neutral():
     assert Range(-1.0, 0.9, 0.01, share_of_whole=True).widened(0.0).upper == pytest.approx(0.975)
     assert Range(-1.0, 0.9, 0.01, share_of_whole=True).widened(0.0).lower == pytest.approx(-7.0)
     assert Range(-3.0, 9.0, 0.1, ends_at_none=True).widened(0.0) == Range(-3.0, 36.0, 0.1, ends_at_none=True)
+    assert Range(-1.0, 9.0, 0.1, ends_complete=True).widened(0.0) == Range(-4.0, 9.0, 0.1, ends_complete=True)
 
 
 def test_a_bank_that_no_road_has_is_a_lead(nominal_series):
