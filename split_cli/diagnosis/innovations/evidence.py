@@ -194,13 +194,15 @@ def gather_evidence(
     linear = linearise(vehicle, series, predicting)
     model = noise_model(linear)
     shared = discrepancy.shared_terms
-    plain = motion(series, linear, series.measured, series.predicted)
-    plain -= _by_model(vehicle, series, linear, shared, series.predicted)
-    unexplained = plain
-    if explaining:
-        measured, predicted = series.evaluated(explaining)
-        unexplained = motion(series, linear, measured, predicted)
-        unexplained -= _by_model(vehicle, series, linear, (*explaining, *shared), predicted)
+
+    def left_by(terms: Sequence[Term]) -> np.ndarray:
+        measured, predicted = series.evaluated(terms)
+        return motion(series, linear, measured, predicted) - _by_model(
+            vehicle, series, linear, (*terms, *shared), predicted
+        )
+
+    plain = left_by(())
+    unexplained = left_by(explaining) if explaining else plain
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)
@@ -220,7 +222,7 @@ def gather_evidence(
             disturbance = np.maximum(disturbance, least_disturbance)
     whitener = build_whitener(model, series.stated_noise, disturbance, series.period, begins, group)
     u, phi = whitener(plain), _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy, linear))
-    left = whitener(unexplained) if explaining else u
+    left = u if unexplained is plain else whitener(unexplained)
     left = left - phi @ _discrepancy_weights(left, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
     return Evidence(vehicle, series, linear, whitener, u, phi, at, disturbance, weight, rolls, shared)
