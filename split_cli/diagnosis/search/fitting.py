@@ -17,6 +17,7 @@ from split_cli.vehicle.effects import Term
 _ITERATIONS = 12  # iterations of a fit at most [1]
 _JOINT_ITERATIONS = 6  # iterations of a fit of all terms at once, which only shows which are needed [1]
 # Gain of a step below which a fit ends [chi squared], times the variance of its residuals where these exceed noise.
+# Judgement: a fiftieth of what one parameter saves by chance.
 _LEAST_GAIN = 0.02
 #: Error of the predicted change of the residuals, over that change, up to which derivatives are updated instead of
 #: computed [1]. Judgement: nine drives of development keep verdicts, names and sizes to 0.01 standard errors.
