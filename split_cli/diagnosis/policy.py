@@ -180,8 +180,8 @@ class SelectionRules:
     form_error_share: float = number(
         0.10,
         "1",
-        "model-form error of a term or of the shared discrepancy, over its size: the standard deviation of "
-        "its prior. It is also the least share of larger terms that a further term must reach, and the "
+        "model-form error of a term, or at most of the shared discrepancy, over its size: the standard "
+        "deviation of its prior. It is also the least share of larger terms that a further term must reach, and the "
         "least relative error of a parameter that acts through the tyres. A variant must be better open "
         "loop by this share. A larger share of the gap is unexplained. Its square is the share of a cost, "
         "which grows with the square of a size",
@@ -191,7 +191,8 @@ class SelectionRules:
         1.96,
         "standard deviations",
         "standard deviations that hold 95 %: of the prior from no effect to the largest that a car can "
-        "have, of the difference between halves of the simulation, and of the drift of instruments",
+        "have, of the difference between halves of the simulation, of the error of what the two share, and of "
+        "the drift of instruments",
         THEORY + "95 % of a normal deviate, two-sided",
     )
 

@@ -12,6 +12,7 @@ from split_cli.diagnosis.search.exchange import (
     fewer_by_another_variant,
     inverted_stretch,
     move_in_words,
+    one_as_hidden_pair,
     one_as_pair,
     pair_as_one,
     with_fewer_parts,
@@ -30,6 +31,8 @@ from tests.diagnosis.recordings import (
     first_order,
     late,
     noisy_objective,
+    objective_with,
+    planted,
 )
 
 ACTUATORS = ("drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
@@ -229,6 +232,27 @@ def test_late_sensors_stay_one_where_they_are():
     one = fitted(explore, sensor_delay={"delay": 0.045})
     assert one_as_pair(explore, nothing(objective), one, (True,)) is None
     assert fewer_by_another_variant(explore, nothing(objective), one, (True,)) is None
+
+
+def test_a_relaxing_tyre_gives_way_to_the_two_effects_that_imitate_it():
+    """Late steering of a car that turns in easily: each of the two saves little without the other."""
+    light = CATALOGUE["yaw_inertia"]({"scale": 0.8})
+    objective = noisy_objective(driven(21, [light], steer=partial(behind, delay=0.03)), 5)
+    terms = "steer_delay", "steer_lag", "yaw_inertia", "tire_relaxation"
+    explore = explorer(replace(objective, about_explanation=True), *terms)
+    one = fitted(explore, tire_relaxation={"length": 0.3})
+    found = one_as_hidden_pair(explore, nothing(objective), one, (True,))
+    values = {part.candidate.term: next(iter(part.values.values())) for part in found.parts}
+    assert values == {"steer_delay": pytest.approx(0.03, abs=0.002), "yaw_inertia": pytest.approx(0.8, abs=0.02)}
+    assert one_as_hidden_pair(explore, nothing(objective), one, (False,)) is None
+    assert one_as_hidden_pair(explorer(objective, *terms), nothing(objective), one, (True,)) is None
+
+
+def test_a_relaxing_tyre_stays_where_it_is_one():
+    objective = replace(objective_with(*planted(tire_relaxation=0.3)), about_explanation=True)
+    explore = explorer(objective, "steer_delay", "steer_lag", "yaw_inertia", "tire_relaxation")
+    one = fitted(explore, tire_relaxation={"length": 0.25})
+    assert one_as_hidden_pair(explore, nothing(objective), one, (True,)) is None
 
 
 class Blunt(Term):

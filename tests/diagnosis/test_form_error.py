@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
+from scipy.stats import multivariate_normal
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search import form_error as module
@@ -14,9 +15,11 @@ from split_cli.diagnosis.search.form_error import (
     costs_beside_form_error,
     divided_out,
     free_to_form_error,
+    marginal_cost,
     moved_between_load_laws,
     residuals_beside_form_error,
     saved_beside_form_error,
+    saved_in_place_of,
 )
 from split_cli.diagnosis.search.forward import sizes_with_form_error
 from split_cli.diagnosis.search.selection import nothing, select_terms
@@ -55,19 +58,23 @@ def lag(behind) -> Fit:
     return fitted(behind, "steer_lag")
 
 
-def test_the_cost_is_that_of_the_dense_gaussian(behind, delay):
-    """Unit noise and model-form error together: e^T (I + M M^T)^-1 e, on every tenth row to keep it small."""
+def test_the_cost_is_twice_the_negative_logarithm_of_a_dense_gaussian(behind, delay):
+    """Of covariance v (I + M M^T), on every tenth row to keep it small; then on all rows by least squares."""
     form_error = 0.1 * behind.whiten(module._varied(behind, delay.terms, 0))
     assert form_error.shape == (len(delay.residuals), 18)
     rows = slice(0, None, 10)
     few, residuals = form_error[rows], delay.residuals[rows]
-    expected = residuals @ np.linalg.solve(np.eye(len(residuals)) + few @ few.T, residuals)
-    score = few.T @ residuals
-    told = residuals @ residuals - score @ np.linalg.solve(np.eye(18) + few.T @ few, score)
-    assert told == pytest.approx(expected, rel=1e-9)
-    # And on all rows it is the least of |e - M w|^2 + |w|^2.
+    dense = multivariate_normal(cov=INFLATION * (np.eye(len(residuals)) + few @ few.T))
+    of_noise = multivariate_normal(cov=INFLATION * np.eye(len(residuals)))
+    expected = 2.0 * (of_noise.logpdf(np.zeros(len(residuals))) - dense.logpdf(residuals))
+    score, normal = few.T @ residuals, np.eye(18) + few.T @ few
+    reference = (residuals @ residuals - score @ np.linalg.solve(normal, score)) / INFLATION
+    assert reference + np.linalg.slogdet(normal)[1] == pytest.approx(expected, rel=1e-9)
+    # And on all rows the quadratic part is the least of |e - M w|^2 + |w|^2.
     stacked, target = np.vstack([form_error, np.eye(18)]), np.append(delay.residuals, np.zeros(18))
     left = target - stacked @ np.linalg.lstsq(stacked, target, rcond=None)[0]
+    price = np.linalg.slogdet(np.eye(18) + form_error.T @ form_error)[1]
+    assert marginal_cost(behind, delay, INFLATION) == pytest.approx(left @ left / INFLATION + price, rel=1e-9)
     assert costs_beside_form_error(behind, [delay]) == pytest.approx([left @ left], rel=1e-9)
 
 
@@ -87,6 +94,13 @@ def test_products_summed_over_stretches_are_those_of_whole_columns(behind, delay
 def test_without_a_term_nothing_is_free(behind):
     base = nothing(behind)
     assert costs_beside_form_error(behind, [base]) == [base.cost]
+    assert marginal_cost(behind, base, INFLATION) == base.cost / INFLATION
+
+
+def test_sensor_faults_have_no_model_form_error(behind):
+    one = candidates_of(behind, "sensor_lever_arm")[0]
+    turned = fit_parts(behind, [Part(one, {"dx": 0.1})])
+    assert marginal_cost(behind, turned, INFLATION) == turned.cost / INFLATION
 
 
 def test_the_first_column_of_a_channel_is_the_effect_itself(behind, delay):
@@ -141,8 +155,18 @@ def test_a_form_error_that_favours_another_term_does_not_decide(behind, delay, l
         for fit in (delay, lag)
     ]
     assert abs(size) < 0.5 and moved[0].cost > moved[1].cost
-    beside = costs_beside_form_error(behind, moved)
-    assert beside[0] < beside[1]
+    assert saved_in_place_of(behind, moved[1], moved[0], INFLATION) > 0.0
+
+
+def test_of_equal_residuals_the_smaller_effect_is_the_better_explanation(behind, delay):
+    """A larger effect has a larger error, which could have explained more than it had to."""
+    (one,) = candidates_of(behind, "steer_delay")
+    larger = Part(one, {"delay": 3.0 * delay.parts[0].values["delay"]})
+    same = replace(delay, parts=(larger,))
+    assert marginal_cost(behind, delay, INFLATION) < marginal_cost(behind, same, INFLATION)
+    assert np.diff(costs_beside_form_error(behind, [delay, same])) == pytest.approx(0.0, abs=1e-6)
+    assert saved_in_place_of(behind, delay, same, INFLATION) < 0.0
+    assert saved_in_place_of(behind, same, delay, INFLATION) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_what_one_may_get_wrong_is_free_for_the_others(behind, delay):
@@ -152,9 +176,22 @@ def test_what_one_may_get_wrong_is_free_for_the_others(behind, delay):
     alone = costs_beside_form_error(behind, [delay])[0]
     together = costs_beside_form_error(behind, [delay, bends])
     assert together[0] < alone and together == pytest.approx(costs_beside_form_error(behind, [bends, delay])[::-1])
-    # Of the same residuals none is better than another.
-    same = replace(bends, residuals=delay.residuals)
-    assert np.ptp(costs_beside_form_error(behind, [delay, same])) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_true_size_of_an_error_is_the_likeliest(behind, delay):
+    """Residuals drawn with an error of a tenth cost least, on average, where a tenth is what the policy says."""
+    columns = behind.whiten(module._varied(behind, delay.terms, 0))
+    rng = np.random.default_rng(8)
+    drawn = []
+    for _ in range(20):
+        left = rng.standard_normal(len(columns)) + columns @ (0.1 * rng.standard_normal(18))
+        drawn.append(replace(delay, residuals=left, cost=float(left @ left)))
+    costs = {}
+    for share in (0.02, 0.1, 0.5):
+        selection = replace(behind.policy.selection, form_error_share=share)
+        objective = replace(behind, policy=replace(behind.policy, selection=selection))
+        costs[share] = np.mean([marginal_cost(objective, one, 1.0) for one in drawn])
+    assert costs[0.1] < min(costs[0.02], costs[0.5])
 
 
 def test_an_alternative_takes_the_place_where_it_is_better_beside_form_error(behind, monkeypatch):
@@ -164,14 +201,14 @@ def test_an_alternative_takes_the_place_where_it_is_better_beside_form_error(beh
     # Alternatives are what may be model-form error; here the lag is made one.
     monkeypatch.setattr(selecting, "explaining_as_well", lambda objective, selection, k, rivals: list(rivals))
     assert selected(behind, *candidates).chosen.names == ("steer_delay",)
-    tie = 1.5 * behind.policy.selection.tie  # before variance inflation
+    tie = behind.policy.selection.tie
 
     def saving(much):
-        return lambda objective, fits: [much * ("steer_delay" in fit.names) for fit in fits]
+        return lambda objective, before, after, variance_inflation: much * (1 if after.names == ("steer_lag",) else -1)
 
-    monkeypatch.setattr(selecting, "costs_beside_form_error", saving(0.9 * tie))
+    monkeypatch.setattr(selecting, "saved_in_place_of", saving(0.9 * tie))
     assert selected(behind, *candidates).chosen.names == ("steer_delay",)
-    monkeypatch.setattr(selecting, "costs_beside_form_error", saving(1.1 * tie))
+    monkeypatch.setattr(selecting, "saved_in_place_of", saving(1.1 * tie))
     turned = selected(behind, *candidates)
     assert turned.chosen.names == ("steer_lag",) and turned.named == (True,)
     assert "beside model-form error" in turned.history[-1]
@@ -187,7 +224,9 @@ def test_residuals_beside_form_error_are_what_a_dense_gaussian_leaves(behind, de
     weights = np.linalg.lstsq(stacked, target, rcond=None)[0]
     left = residuals_beside_form_error(behind, delay)
     np.testing.assert_allclose(left, delay.residuals - form_error @ weights, atol=1e-8)
-    assert left @ left + weights @ weights == pytest.approx(costs_beside_form_error(behind, [delay])[0], rel=1e-9)
+    price = np.linalg.slogdet(np.eye(18) + form_error.T @ form_error)[1]
+    cost = marginal_cost(behind, delay, 1.0)
+    assert left @ left + weights @ weights + price == pytest.approx(cost, rel=1e-9)
     base = nothing(behind)
     assert residuals_beside_form_error(behind, base) is base.residuals
 

@@ -128,7 +128,7 @@ BESIDE_THEIR_ALGORITHM = {
     "remainder/spectrum.py": {"_BACKGROUND", "_LARGEST"},
     "remainder/structure.py": {"_RIDGE_SHARE"},
     "remainder/autocorrelation.py": {"_NEAR_ROWS"},
-    "search/self_test.py": {"_BINS", "_WAVES"},
+    "search/self_test.py": {"_BINS", "_SHARES", "_WAVES"},
     "search/candidates.py": {"_NEAR"},
     "search/form_error.py": {"_ROWS_AT_A_TIME"},
     "search/fitting.py": {"RIDGE", "_ITERATIONS", "_JOINT_ITERATIONS", "_LEAST_GAIN", "_PLACES", "_MOST_UPDATE_ERROR"},

@@ -5,10 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.structure import FlexibleFit
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.self_test import SelfTest, self_test
+from split_cli.diagnosis.search.self_test import SelfTest, error_of_discrepancy, self_test
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import case_of, verdict_of
@@ -96,14 +99,13 @@ def test_two_recordings_of_one_restless_car_match():
     assert not same.findings
 
 
+def objective(rows: int) -> MarginalLikelihood:
+    """Return an objective of which only the number of rows is known."""
+    car, one, empty = road_car(), SimpleNamespace(), np.zeros(0)
+    return MarginalLikelihood((one,), None, car, (np.ones(rows, dtype=bool),), empty, empty, empty, empty, empty)
+
+
 def test_forgiveness_goes_with_the_rows(restless):
-    def objective(rows: int):
-        car, one = road_car(), SimpleNamespace()
-        from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-
-        empty = np.zeros(0)
-        return MarginalLikelihood((one,), None, car, (np.ones(rows, dtype=bool),), empty, empty, empty, empty, empty)
-
     once, fourfold = (restless.allow(objective(k * restless.rows)).term_floors["wind"] for k in (1, 4))
     assert fourfold == pytest.approx(2.0 * once)
     assert not SelfTest().allow(objective(10)).term_floors
@@ -125,3 +127,50 @@ def test_of_more_rows_a_flexible_fit_takes_less_of_what_varies_together():
     assert SelfTest(rows=800, autocorrelation=1.7).usual_autocorrelation(400) == pytest.approx(1.7)
     # Where the simulation is white, or nothing is known of it, nothing more is forgiven.
     assert SelfTest(rows=800).usual_autocorrelation(3200) == SelfTest().usual_autocorrelation(3200) == 1.0
+
+
+def test_the_error_of_the_discrepancy_is_bounded_from_above():
+    """Drawn with a known share, with noise or without: the bound is above it as often as stated, and not far above."""
+    rng = np.random.default_rng(5)
+    columns = rng.standard_normal((600, 18)) * np.geomspace(3.0, 30.0, 18)
+    for quiet in (0.0, 1.0):
+        bounds = []
+        for _ in range(200):
+            left = columns @ (0.03 * rng.standard_normal(18)) + (1.0 - quiet) * rng.standard_normal(600)
+            bounds.append(error_of_discrepancy(columns, left, 1.0, quiet))
+        assert np.mean(np.array(bounds) > 0.03) >= 0.9 and np.median(bounds) < 0.07
+    # A discrepancy too small to be seen has an error of any size.
+    assert error_of_discrepancy(1e-6 * columns, rng.standard_normal(600), 1.0) == 1.0
+    # One that is seen and is right has next to none.
+    assert error_of_discrepancy(columns, rng.standard_normal(600), 1.0) < 0.01
+
+
+def test_the_likelihood_of_the_error_is_that_of_a_dense_gaussian():
+    """The bound is where the dense likelihood has fallen by half of the square of 1.96."""
+    rng = np.random.default_rng(6)
+    columns = rng.standard_normal((80, 18))
+    left = columns @ (0.4 * rng.standard_normal(18)) + rng.standard_normal(80)
+
+    def likelihood(share):
+        return multivariate_normal(cov=1.5 * (np.eye(80) + share**2 * columns @ columns.T)).logpdf(left)
+
+    bound = error_of_discrepancy(columns, left, 1.5)
+    best = max(likelihood(share) for share in np.geomspace(1e-3, 1.0, 100))
+    step = 10.0 ** (3.0 / 99.0)
+    fallen = 0.5 * 1.96**2
+    assert best - likelihood(bound) <= fallen < best - likelihood(bound * step)
+
+
+def test_a_discrepancy_that_both_halves_have_is_known_well():
+    """Simulation and reality share softer tyres, a large discrepancy of the nominal model."""
+    softer = (CATALOGUE["tire_stiffness"]({"front_scale": 0.7, "rear_scale": 0.8}),)
+    tested = against_itself(drive(1, softer), recorded(drive(2, softer), 2))
+    assert 0.0 < tested.shared_error < 0.05
+
+
+def test_the_error_that_is_allowed_for_is_at_most_that_of_any_effect(clean):
+    """Of nothing that is shared, any share is as likely as another."""
+    most = STANDARD.selection.form_error_share
+    assert clean.shared_error > most and clean.allow(objective(10)).shared_error == most
+    assert replace(clean, shared_error=0.02).allow(objective(10)).shared_error == 0.02
+    assert SelfTest().allow(objective(10)).shared_error == most

@@ -127,6 +127,11 @@ class MarginalLikelihood:
     witness_floors: Mapping[str, float] = field(default_factory=dict)  # as `term_floors`, of the witnesses' cost alone
     part_floors: Mapping[str, float] = field(default_factory=dict)  # as `term_floors`, in the best part of the drive
     form_error_inflation: float = 1.0  # variance inflation factor of model-form error that no basis function represents
+    # Model-form error of the shared discrepancy over its size [1], from the halves of the simulation.
+    shared_error: float = STANDARD.selection.form_error_share
+    about_explanation: bool = (
+        False  # whether rows are whitened about an explanation, see `DiagnosisCase.whitened_about`
+    )
     fixed_baseline: bool = False  # whether the simulation is a fixed baseline, see `with_fixed_baseline`
     policy: Policy = STANDARD
     # Cache of rates and rows by values of terms, of effect-to-noise ratios and of profiles of delays.
@@ -248,22 +253,35 @@ class MarginalLikelihood:
 
         Zero if none of the terms does.
         """
-        altering = [term for term in terms if alters_inputs(term)] if self.posterior is not None else []
-        altering = self._moving(altering)
+        altering = self._altering(terms)
         if not altering:
             return np.zeros(len(self.weight))
         others = [term for term in terms if alters_car(term)]
-        moving = [term for term in others if moves_axles(self.discrepancy.vehicle, term)]
 
         def rows() -> np.ndarray:
-            moved = []
-            for one in self.evidence:
-                here, there = (self._rates(one, [*some, *moving]) for some in ((), altering))
-                rates = self.discrepancy.at_another_car(there - here, one.series, others)
-                moved.append(one.whitener(integrated(one.series, rates, one.linear)))
-            return self.stack(moved)
+            moved = [(one, self._shifted_rates(one, altering, others)) for one in self.evidence]
+            return self.stack([one.whitener(integrated(one.series, rates, one.linear)) for one, rates in moved])
 
         return self._remembered(("shift", bool(others)), [*altering, *others], rows, for_good=not others)
+
+    def change_by(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
+        """Return how terms change the shared discrepancy's rates of a recording, shape (N, 3); zeros if none does."""
+        change = self.discrepancy_change(one, terms)
+        out = np.zeros((len(one.series.t), 3)) if change is None else change
+        altering = self._altering(terms)
+        if altering:
+            out = out + self._shifted_rates(one, altering, [term for term in terms if alters_car(term)])
+        return out
+
+    def _altering(self, terms: Sequence[Term]) -> list[Term]:
+        """Return the terms that alter inputs or sensors and so the shared discrepancy; none if nothing is shared."""
+        return self._moving([term for term in terms if alters_inputs(term)]) if self.posterior is not None else []
+
+    def _shifted_rates(self, one: Evidence, altering: Sequence[Term], others: Sequence[Term]) -> np.ndarray:
+        """Return how `altering` change the shared discrepancy's rates of a car with `others`, shape (N, 3)."""
+        moving = [term for term in others if moves_axles(self.discrepancy.vehicle, term)]
+        here, there = (self._rates(one, [*some, *moving]) for some in ((), altering))
+        return self.discrepancy.at_another_car(there - here, one.series, others)
 
     def _rates(self, one: Evidence, altering: Sequence[Term]) -> np.ndarray:
         """Return the shared discrepancy's rates (N, 3) with terms that alter inputs, sensors or slip angles; cached."""

@@ -122,7 +122,8 @@ def search(
 
 
 def _objective_of(case: DiagnosisCase, policy: Policy) -> MarginalLikelihood:
-    return build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy)
+    rows = case.real, case.posterior, case.discrepancy, case.keep, case.kinematics
+    return replace(build_objective(*rows, policy=policy), about_explanation=bool(case.explaining))
 
 
 def _differ(one: MarginalLikelihood, other: MarginalLikelihood, terms: Sequence[Term]) -> bool:

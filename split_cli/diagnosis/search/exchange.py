@@ -13,9 +13,10 @@ from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start, repeats_a_delay
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
-from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_to_form_error
-from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
+from split_cli.diagnosis.search.form_error import free_to_form_error, marginal_cost, saved_in_place_of
+from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error, sure_pairs
 from split_cli.diagnosis.search.joint import estimated_removal_costs, estimated_removal_of_several, without_needless
+from split_cli.diagnosis.search.pairs import estimated_pairs
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -96,14 +97,12 @@ def is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
 
     Several terms may imitate one, and fit better because of its model-form error.
     """
-    rules, more = explore.rules, len(fit.parts) > len(than.parts)
     # Of equally good explanations the one with fewer terms stays.
-    least = rules.price if more else rules.tie
+    least = explore.rules.price if len(fit.parts) > len(than.parts) else explore.rules.tie
     if explore.price(fit) > explore.price(than) - least:
         return False
-    there, here = costs_beside_form_error(explore.objective, [than, fit])
-    price = rules.price * (fit.complexity - than.complexity)
-    return (there - here) / explore.variance_inflation > price + least
+    price = explore.rules.price * (fit.complexity - than.complexity)
+    return saved_in_place_of(explore.objective, than, fit, explore.variance_inflation) > price + least
 
 
 def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> Fit | None:
@@ -196,9 +195,9 @@ def all_as_one(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool])
             continue
         if own.candidate.at_limit(own.values) or own.is_within_tolerance:
             continue
-        here, there = costs_beside_form_error(explore.objective, [chosen, fit])
-        if there <= here and there - here < least:
-            best, least = fit, there - here
+        dearer = -saved_in_place_of(explore.objective, chosen, fit, explore.variance_inflation)
+        if dearer <= 0.0 and dearer < least:
+            best, least = fit, dearer
     return best
 
 
@@ -266,6 +265,36 @@ def one_as_pair(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]
             as_good = best is None and len(kept) < len(others) and price < explore.price(chosen) + rules.tie
             if as_good or (price < least and is_better_beside_form_error(explore, fit, chosen)):
                 best, least = fit, min(least, price)
+    return best
+
+
+def one_as_hidden_pair(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
+    """Return the best explanation with two terms that hide each other in place of a named part; None without any.
+
+    A late steering of a car with less yaw inertia looks like a tyre that relaxes, for example. Each of the two saves
+    little without the other, so that no exchange of single terms leads to them. Linear estimates choose what is fitted.
+    On rows about the nominal model none is tried: their bias (docs/decisions/0043) is what such a pair could explain.
+    """
+    if not explore.objective.about_explanation:
+        return None
+    rules = explore.rules
+
+    def marginal_price(fit: Fit) -> float:
+        return marginal_cost(explore.objective, fit, explore.variance_inflation) + rules.price * fit.complexity
+
+    best, least = None, explore.price(chosen) - rules.tie
+    for k, rest in enumerate(explore.without(base, chosen)):
+        own = chosen.parts[k].candidate.term
+        if not named[k]:
+            continue
+        others = [
+            one
+            for one in estimated_pairs(explore, rest)
+            if own not in (linear.part.candidate.term for linear in one[1:])
+        ]
+        for fit in sure_pairs(explore, rest, others, least):
+            if explore.price(fit) < least and marginal_price(fit) < marginal_price(chosen) - rules.tie:
+                best, least = fit, explore.price(fit)
     return best
 
 

@@ -53,7 +53,7 @@ def _form_error_of(objective: MarginalLikelihood, fit: Fit) -> _FormError:
     if known is None or known.fit is not fit or known.basis is not objective.basis:
         forget_form_error(objective)  # first, since both may be large
         laws = _other_load_laws(objective, fit)
-        shared = _columns_of_discrepancy(objective)
+        shared = _columns_of_discrepancy(objective, fit.terms)
         columns = form_error_columns(objective, fit) if laws.shape[1] or shared.shape[1] else shared
         own = columns.shape[1]
         if shared.shape[1]:
@@ -62,10 +62,21 @@ def _form_error_of(objective: MarginalLikelihood, fit: Fit) -> _FormError:
     return known
 
 
+def saved_in_place_of(objective: MarginalLikelihood, before: Fit, after: Fit, variance_inflation: float) -> float:
+    """Return by how much less an explanation costs than another one beside model-form error [chi squared].
+
+    It is the smaller of two savings over the variance inflation. In the first, errors of both explanations are allowed
+    for both (`costs_beside_form_error`): an error that happens to resemble the difference decides nothing. In the
+    second, each has its own and pays for it (`marginal_cost`): a large effect may get so much wrong that it could
+    explain anything.
+    """
+    there, here = costs_beside_form_error(objective, [before, after])
+    own = marginal_cost(objective, before, variance_inflation) - marginal_cost(objective, after, variance_inflation)
+    return min((there - here) / variance_inflation, own)
+
+
 def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
     """Return the cost of each fit beside the model-form errors of all of them [chi squared].
-
-    The errors of each fit are allowed for all fits. Otherwise the fit with the most flexible error would win.
 
     Notes
     -----
@@ -75,6 +86,26 @@ def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) 
     """
     parts = [(fit.terms, k) for fit in fits for k in range(len(fit.parts))]
     return _costs_beside(objective, parts, [fit.residuals for fit in fits])
+
+
+def marginal_cost(objective: MarginalLikelihood, fit: Fit, variance_inflation: float) -> float:
+    """Return twice the negative logarithm of a fit's marginal likelihood beside its own model-form error.
+
+    A constant is left out that all fits of an objective have. Sensor faults have no model-form error.
+
+    Notes
+    -----
+    With the variance inflation v and M as in `costs_beside_form_error`, e has the covariance v (I + M M^T). So the cost
+    is e^T (I + M M^T)^-1 e / v + ln det(I + M M^T), where the determinant is that of I + M^T M (Rasmussen and Williams,
+    2006, equation 2.30).
+    """
+    parts = [(fit.terms, k) for k, term in enumerate(fit.terms) if term.exported]
+    if not parts:
+        return fit.cost / variance_inflation
+    normal, scores = _products(objective, parts, fit.residuals[:, None])
+    lower = np.linalg.cholesky(np.eye(len(normal)) + normal)
+    explained = float(np.sum(solve_triangular(lower, scores, lower=True) ** 2))
+    return (fit.cost - explained) / variance_inflation + 2.0 * float(np.sum(np.log(np.diag(lower))))
 
 
 def _costs_beside(
@@ -350,17 +381,37 @@ def _columns(
     return out
 
 
-def _columns_of_discrepancy(objective: MarginalLikelihood) -> np.ndarray:
-    """Return M of the shared discrepancy, shape (R, 18); without columns if nothing is shared."""
+def _columns_of_discrepancy(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> np.ndarray:
+    """Return M of the shared discrepancy beside terms, shape (R, 18) or (R, 36); without columns if nothing is shared.
+
+    The first columns are the discrepancy's own error, a share that the self-test measures. The others are the error of
+    its change by the terms, which is computed to first order.
+    """
     if objective.posterior is None:
         return np.empty((len(objective.weight), 0))
     if _DISCREPANCY not in objective.memo:
-        weights, rows = objective.posterior.weights, []
-        for one in objective.evidence:
-            shared = integrated(one.series, objective.discrepancy.rates(one.series, weights), one.linear)
-            rows.append(one.whitener(_varied_by(one, shared, True, _functions(one))))
-        objective.memo[_DISCREPANCY] = objective.stack(rows)
-    return objective.policy.selection.form_error_share * objective.whiten(objective.memo[_DISCREPANCY])
+        objective.memo[_DISCREPANCY] = varied_discrepancy(objective)
+    own = objective.shared_error * objective.memo[_DISCREPANCY]
+    changes = [objective.change_by(one, terms) for one in objective.evidence]
+    if not any(one.any() for one in changes):
+        return own
+    share = objective.policy.selection.form_error_share
+    return np.hstack([own, share * _varied_rates(objective, changes)])
+
+
+def varied_discrepancy(objective: MarginalLikelihood) -> np.ndarray:
+    """Return the shared discrepancy split by force and times each of six functions, whitened, shape (R, 18)."""
+    weights = objective.posterior.weights
+    return _varied_rates(objective, [objective.discrepancy.rates(one.series, weights) for one in objective.evidence])
+
+
+def _varied_rates(objective: MarginalLikelihood, rates: Sequence[np.ndarray]) -> np.ndarray:
+    """Return rates of each recording, (N, 3) each, by force and times each of six functions, whitened, (R, 18)."""
+    rows = []
+    for one, some in zip(objective.evidence, rates, strict=True):
+        shared = integrated(one.series, some, one.linear)
+        rows.append(one.whitener(_varied_by(one, shared, True, _functions(one))))
+    return objective.whiten(objective.stack(rows))
 
 
 def _costs(form_error: np.ndarray, normal: np.ndarray, residuals: Sequence[np.ndarray]) -> list[float]:

@@ -1,6 +1,6 @@
 """Forward search: terms are added one at a time while each passes its tests, and `refusal`, which are these tests."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, fits_without
+from split_cli.diagnosis.search.fitting import Fit, Tangent, fits_without
 from split_cli.diagnosis.search.form_error import saved_beside_form_error, share_of_error
 from split_cli.diagnosis.search.pairs import estimated_pairs, with_pair
 from split_cli.diagnosis.search.term_tests import (
@@ -228,17 +228,31 @@ def hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
         own = best.parts[-1].candidate.term
         with_best = (one for one, *pair in estimated if own in {linear.part.candidate.term for linear in pair})
         enough = min(enough, next(with_best, np.inf))
-    for estimate, first, second in estimated[: rules.considered]:
-        if estimate > enough - rules.price:
+    return next(sure_pairs(explore, chosen, estimated, enough - rules.price), None)
+
+
+def sure_pairs(
+    explore: Explorer, chosen: Fit, estimated: Sequence[tuple[float, Tangent, Tangent]], enough: float
+) -> Iterator[Fit]:
+    """Yield explanations with two further terms, each sure beside the other, for the best estimates.
+
+    Parameters
+    ----------
+    estimated : sequence
+        As of `estimated_pairs`.
+    enough : float
+        Cost with price that they may have at most, over the variance inflation [chi squared].
+    """
+    for estimate, first, second in estimated[: explore.rules.considered]:
+        if estimate > enough:
             break
         fit = with_pair(explore, chosen, (first, second))
-        if fit is None or explore.price(fit) > enough - rules.price or leaves_car_range(chosen, fit):
+        if fit is None or explore.price(fit) > enough or leaves_car_range(chosen, fit):
             continue
         if not cancel(explore.objective, fit) and all(
             _is_sure(explore, fit, k) for k in range(len(chosen.parts), len(fit.parts))
         ):
-            return fit
-    return None
+            yield fit
 
 
 def cancel(objective: MarginalLikelihood, fit: Fit) -> bool:

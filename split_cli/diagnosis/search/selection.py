@@ -17,13 +17,14 @@ from split_cli.diagnosis.search.exchange import (
     inverted_stretch,
     is_better_beside_form_error,
     move_in_words,
+    one_as_hidden_pair,
     one_as_pair,
     pair_as_one,
     with_fewer_parts,
 )
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts
-from split_cli.diagnosis.search.form_error import costs_beside_form_error
+from split_cli.diagnosis.search.form_error import saved_in_place_of
 from split_cli.diagnosis.search.forward import (
     ForwardResult,
     is_beyond_form_error,
@@ -241,7 +242,8 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
         all_known = False
     best_first = sorted((rival for several in selection.rivals for rival in several), key=lambda one: one.excess)
     moves: tuple[Callable[[Explorer, Fit, Fit, Sequence[bool]], Fit | None], ...]
-    moves = (fewer_by_another_variant, partial(pair_as_one, rivals=[rival.fit for rival in best_first]), one_as_pair)
+    as_one = partial(pair_as_one, rivals=[rival.fit for rival in best_first])
+    moves = (fewer_by_another_variant, as_one, one_as_pair, one_as_hidden_pair)
     for move in moves:
         other = move(explore, selection.base, selection.chosen, selection.named)
         if other is not None:
@@ -392,9 +394,8 @@ def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[
                 alternatives.setdefault((k, rival.fit.parts[-1].candidate.term), rival.fit)
     best, most = None, rules.tie
     for fit in alternatives.values():
-        here, there = costs_beside_form_error(explore.objective, [selection.chosen, fit])
         price = rules.price * (fit.complexity - selection.chosen.complexity)
-        saved = (here - there) / explore.variance_inflation - price
+        saved = saved_in_place_of(explore.objective, selection.chosen, fit, explore.variance_inflation) - price
         if saved > most:
             best, most = fit, saved
     return best, most

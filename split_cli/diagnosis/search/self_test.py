@@ -29,10 +29,12 @@ from split_cli.diagnosis.remainder.flexible import FlexiblePiece, flexible_rows
 from split_cli.diagnosis.remainder.oscillation import OscillatorRows, build_oscillators, oscillator_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
 from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.form_error import varied_discrepancy
 from split_cli.diagnosis.search.parts_of_drive import most_saved
 from split_cli.vehicle.effects import CATALOGUE
 
 _BINS = 40  # parts of a lap that form stretches [1]; judgement, the search itself takes 50
+_SHARES = np.geomspace(1e-3, 1.0, 100)  # shares of the discrepancy that are tried as its error [1]
 _WAVES = 12  # harmonics of a lap that are tried [1], as in the search
 
 
@@ -54,6 +56,7 @@ class SelfTest:
     partly: Mapping[str, float] = field(default_factory=dict)
     # Cost that the oscillators of each frequency save beyond noise [chi squared].
     swinging: Mapping[str, float] = field(default_factory=dict)
+    shared_error: float = np.inf  # upper bound of `error_of_discrepancy` [1]; infinite if nothing is known
 
     def allow(self, objective: MarginalLikelihood) -> MarginalLikelihood:
         """Return an objective with thresholds of these savings, scaled to its rows and with a margin.
@@ -73,6 +76,7 @@ class SelfTest:
             self_test_savings={term: scale * saved for term, saved in self.terms.items()},
             witness_floors={term: rules.term_margin * scale * saved for term, saved in self.witnessed.items()},
             part_floors={term: rules.term_margin * scale * saved for term, saved in self.partly.items()},
+            shared_error=min(self.shared_error, objective.policy.selection.form_error_share),
         )
 
     def floor(self, saved: float, objective: MarginalLikelihood) -> float:
@@ -174,6 +178,7 @@ def self_test(
         {term: max(test.witnessed[term] for test in tests) for term in names},
         {term: max(test.partly[term] for test in tests) for term in names},
         {group: max(test.swinging[group] for test in tests) for group in tests[0].swinging},
+        max(test.shared_error for test in tests),
     )
 
 
@@ -304,7 +309,43 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
         witnessed,
         partly,
         oscillators.savings(residuals, sides.variance_inflation, 1.0 - quiet),
+        error_of_discrepancy(
+            varied_discrepancy(objective), residuals, sides.variance_inflation, quiet, sides.policy.selection.deviations
+        ),
     )
+
+
+def error_of_discrepancy(
+    columns: np.ndarray,
+    residuals: np.ndarray,
+    variance_inflation: float,
+    quiet: float = 0.0,
+    deviations: float = STANDARD.selection.deviations,
+) -> float:
+    """Return the upper bound of the 95 % interval of the shared discrepancy's model-form error over its size [1].
+
+    Parameters
+    ----------
+    columns : ndarray, shape (R, 18)
+        `varied_discrepancy`, of size one.
+    residuals : ndarray, shape (R,)
+        What the discrepancy that was learned elsewhere leaves.
+    quiet : float
+        Variance of the noise that the residuals lack [1], whose expected effect is added.
+    deviations : float
+        Standard deviations that hold 95 %.
+
+    Notes
+    -----
+    With the share s the residuals have the covariance v (I + s^2 M M^T). The bound is the largest s on a grid at which
+    twice the log-likelihood is below its maximum by no more than the square of the deviations (Wilks, 1938).
+    """
+    own, directions = np.linalg.eigh(columns.T @ columns)
+    along = (directions.T @ (columns.T @ residuals)) ** 2 + quiet * np.maximum(own, 0.0)
+    shares = np.append(0.0, _SHARES)[:, None]
+    widened = 1.0 + shares**2 * np.maximum(own, 0.0)
+    cost = np.sum(np.log(widened) - shares**2 * along / widened / variance_inflation, axis=1)
+    return float(shares[cost <= cost.min() + deviations**2].max())
 
 
 def _saving(columns: np.ndarray, residuals: np.ndarray) -> float:
