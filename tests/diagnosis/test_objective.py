@@ -13,6 +13,7 @@ from split_cli.diagnosis.innovations.objective import (
     build_objective,
     learn_discrepancy,
 )
+from split_cli.diagnosis.search.form_error import varied_discrepancy
 from split_cli.vehicle.effects import CATALOGUE
 
 ROWS, COLUMNS = 40, 6
@@ -250,6 +251,31 @@ def test_costs_follow_the_shared_discrepancy_where_a_term_moves_it(gathered, dis
     # The shared discrepancy that stayed as the recording has it would be a different cost, not one by rounding.
     stayed = objective.whiten(objective.stack([gathered.rows(terms)]) - objective.offset)
     assert abs(float(np.sum(stayed**2)) / expected - 1.0) > 1e-3
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [{"steer_lag": 0.08}, {"yaw_inertia": 1.3}, {"steer_lag": 0.08, "yaw_inertia": 1.3}, {"aero_drag": 0.5}],
+    ids="+".join,
+)
+def test_the_change_of_the_shared_discrepancy_is_that_of_its_rates(gathered, discrepancy, terms):
+    known = learn_discrepancy([gathered])
+    known = replace(known, weights=known.weights + 0.3)
+    objective = build_objective([gathered], known, discrepancy, [np.ones(len(gathered.at), dtype=bool)])
+    planted = tuple(CATALOGUE[name]({next(iter(CATALOGUE[name].units)): value}) for name, value in terms.items())
+    there, here = (discrepancy.rates(gathered.series, known.weights, some) for some in (planted, ()))
+    np.testing.assert_allclose(objective.change_by(gathered, planted), there - here, atol=1e-9 * np.abs(here).max())
+
+
+def test_columns_of_the_shared_discrepancy_are_whitened_as_the_objective_that_asks(gathered, discrepancy):
+    """An objective and that of its fixed baseline share what they remember."""
+    known = learn_discrepancy([gathered])
+    keep = [np.ones(len(gathered.at), dtype=bool)]
+    objective = build_objective([gathered], replace(known, weights=known.weights + 0.3), discrepancy, keep)
+    fixed = objective.with_fixed_baseline()
+    first = varied_discrepancy(objective)
+    assert fixed.memo is objective.memo and not np.allclose(first, varied_discrepancy(fixed), rtol=1e-3)
+    np.testing.assert_array_equal(varied_discrepancy(fixed), varied_discrepancy(replace(fixed, memo={})))
 
 
 class WrittenWitness(SimpleNamespace):

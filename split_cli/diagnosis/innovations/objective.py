@@ -129,9 +129,7 @@ class MarginalLikelihood:
     form_error_inflation: float = 1.0  # variance inflation factor of model-form error that no basis function represents
     # Model-form error of the shared discrepancy over its size [1], from the halves of the simulation.
     shared_error: float = STANDARD.selection.form_error_share
-    about_explanation: bool = (
-        False  # whether rows are whitened about an explanation, see `DiagnosisCase.whitened_about`
-    )
+    about_explanation: bool = False  # whether rows are about an explanation, see `DiagnosisCase.whitened_about`
     fixed_baseline: bool = False  # whether the simulation is a fixed baseline, see `with_fixed_baseline`
     policy: Policy = STANDARD
     # Cache of rates and rows by values of terms, of effect-to-noise ratios and of profiles of delays.

@@ -76,7 +76,7 @@ def saved_in_place_of(objective: MarginalLikelihood, before: Fit, after: Fit, va
 
 
 def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
-    """Return the cost of each fit beside the model-form errors of all of them [chi squared].
+    """Return the cost of each fit beside the model-form errors of all of them, allowed for all [chi squared].
 
     Notes
     -----
@@ -389,29 +389,31 @@ def _columns_of_discrepancy(objective: MarginalLikelihood, terms: tuple[Term, ..
     """
     if objective.posterior is None:
         return np.empty((len(objective.weight), 0))
-    if _DISCREPANCY not in objective.memo:
-        objective.memo[_DISCREPANCY] = varied_discrepancy(objective)
-    own = objective.shared_error * objective.memo[_DISCREPANCY]
+    own = objective.shared_error * varied_discrepancy(objective)
     changes = [objective.change_by(one, terms) for one in objective.evidence]
     if not any(one.any() for one in changes):
         return own
     share = objective.policy.selection.form_error_share
-    return np.hstack([own, share * _varied_rates(objective, changes)])
+    return np.hstack([own, share * objective.whiten(_varied_rates(objective, changes))])
 
 
 def varied_discrepancy(objective: MarginalLikelihood) -> np.ndarray:
     """Return the shared discrepancy split by force and times each of six functions, whitened, shape (R, 18)."""
-    weights = objective.posterior.weights
-    return _varied_rates(objective, [objective.discrepancy.rates(one.series, weights) for one in objective.evidence])
+    # The memo is shared with the objective of a fixed baseline, which whitens otherwise.
+    if _DISCREPANCY not in objective.memo:
+        weights = objective.posterior.weights
+        rates = [objective.discrepancy.rates(one.series, weights) for one in objective.evidence]
+        objective.memo[_DISCREPANCY] = _varied_rates(objective, rates)
+    return objective.whiten(objective.memo[_DISCREPANCY])
 
 
 def _varied_rates(objective: MarginalLikelihood, rates: Sequence[np.ndarray]) -> np.ndarray:
-    """Return rates of each recording, (N, 3) each, by force and times each of six functions, whitened, (R, 18)."""
+    """Return rates of each recording, (N, 3) each, by force and times six functions, before `whiten`, (R, 18)."""
     rows = []
     for one, some in zip(objective.evidence, rates, strict=True):
         shared = integrated(one.series, some, one.linear)
         rows.append(one.whitener(_varied_by(one, shared, True, _functions(one))))
-    return objective.whiten(objective.stack(rows))
+    return objective.stack(rows)
 
 
 def _costs(form_error: np.ndarray, normal: np.ndarray, residuals: Sequence[np.ndarray]) -> list[float]:
