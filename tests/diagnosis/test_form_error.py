@@ -155,6 +155,8 @@ def test_a_form_error_that_favours_another_term_does_not_decide(behind, delay, l
         for fit in (delay, lag)
     ]
     assert abs(size) < 0.5 and moved[0].cost > moved[1].cost
+    beside = costs_beside_form_error(behind, moved)
+    assert beside[0] < beside[1]
     assert saved_in_place_of(behind, moved[1], moved[0], INFLATION) > 0.0
 
 
@@ -176,6 +178,9 @@ def test_what_one_may_get_wrong_is_free_for_the_others(behind, delay):
     alone = costs_beside_form_error(behind, [delay])[0]
     together = costs_beside_form_error(behind, [delay, bends])
     assert together[0] < alone and together == pytest.approx(costs_beside_form_error(behind, [bends, delay])[::-1])
+    # Of the same residuals none is better than another.
+    same = replace(bends, residuals=delay.residuals)
+    assert np.ptp(costs_beside_form_error(behind, [delay, same])) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_true_size_of_an_error_is_the_likeliest(behind, delay):
@@ -227,6 +232,7 @@ def test_residuals_beside_form_error_are_what_a_dense_gaussian_leaves(behind, de
     price = np.linalg.slogdet(np.eye(18) + form_error.T @ form_error)[1]
     cost = marginal_cost(behind, delay, 1.0)
     assert left @ left + weights @ weights + price == pytest.approx(cost, rel=1e-9)
+    assert left @ left + weights @ weights == pytest.approx(costs_beside_form_error(behind, [delay])[0], rel=1e-9)
     base = nothing(behind)
     assert residuals_beside_form_error(behind, base) is base.residuals
 

@@ -140,9 +140,9 @@ def test_the_error_of_the_discrepancy_is_bounded_from_above():
             bounds.append(error_of_discrepancy(columns, left, 1.0, quiet))
         assert np.mean(np.array(bounds) > 0.03) >= 0.9 and np.median(bounds) < 0.07
     # A discrepancy too small to be seen has an error of any size.
-    assert error_of_discrepancy(1e-6 * columns, rng.standard_normal(600), 1.0) == 1.0
+    assert error_of_discrepancy(1e-6 * columns, rng.standard_normal(600), 1.0, 0.0) == 1.0
     # One that is seen and is right has next to none.
-    assert error_of_discrepancy(columns, rng.standard_normal(600), 1.0) < 0.01
+    assert error_of_discrepancy(columns, rng.standard_normal(600), 1.0, 0.0) < 0.01
 
 
 def test_the_likelihood_of_the_error_is_that_of_a_dense_gaussian():
@@ -154,7 +154,7 @@ def test_the_likelihood_of_the_error_is_that_of_a_dense_gaussian():
     def likelihood(share):
         return multivariate_normal(cov=1.5 * (np.eye(80) + share**2 * columns @ columns.T)).logpdf(left)
 
-    bound = error_of_discrepancy(columns, left, 1.5)
+    bound = error_of_discrepancy(columns, left, 1.5, 0.0)
     best = max(likelihood(share) for share in np.geomspace(1e-3, 1.0, 100))
     step = 10.0 ** (3.0 / 99.0)
     fallen = 0.5 * 1.96**2

@@ -188,16 +188,16 @@ def all_as_one(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool])
         return None
     enough = (1.0 - explore.rules.fair_share) * (base.cost - chosen.cost)
     taken = {part.candidate.term for part in chosen.parts}
-    best, least = None, np.inf
+    best, most = None, -np.inf
     for fit in explore(base)[: explore.rules.full_fits]:
         own = fit.parts[-1]
         if base.cost - fit.cost < enough or own.candidate.term in taken or fit.complexity >= chosen.complexity:
             continue
         if own.candidate.at_limit(own.values) or own.is_within_tolerance:
             continue
-        dearer = -saved_in_place_of(explore.objective, chosen, fit, explore.variance_inflation)
-        if dearer <= 0.0 and dearer < least:
-            best, least = fit, dearer
+        saved = saved_in_place_of(explore.objective, chosen, fit, explore.variance_inflation)
+        if saved >= 0.0 and saved > most:
+            best, most = fit, saved
     return best
 
 
@@ -282,18 +282,14 @@ def one_as_hidden_pair(explore: Explorer, base: Fit, chosen: Fit, named: Sequenc
     def marginal_price(fit: Fit) -> float:
         return marginal_cost(explore.objective, fit, explore.variance_inflation) + rules.price * fit.complexity
 
-    best, least = None, explore.price(chosen) - rules.tie
+    best, least, bound = None, explore.price(chosen) - rules.tie, None
     for k, rest in enumerate(explore.without(base, chosen)):
         own = chosen.parts[k].candidate.term
-        if not named[k]:
-            continue
-        others = [
-            one
-            for one in estimated_pairs(explore, rest)
-            if own not in (linear.part.candidate.term for linear in one[1:])
-        ]
+        pairs = estimated_pairs(explore, rest) if named[k] else []
+        others = [one for one in pairs if own not in (linear.part.candidate.term for linear in one[1:])]
         for fit in sure_pairs(explore, rest, others, least):
-            if explore.price(fit) < least and marginal_price(fit) < marginal_price(chosen) - rules.tie:
+            bound = marginal_price(chosen) - rules.tie if bound is None else bound
+            if explore.price(fit) < least and marginal_price(fit) < bound:
                 best, least = fit, explore.price(fit)
     return best
 

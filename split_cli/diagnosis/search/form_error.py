@@ -85,7 +85,7 @@ def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) 
     |e|^2 - |L^-1 M^T e|^2, L L^T = I + M^T M.
     """
     parts = [(fit.terms, k) for fit in fits for k in range(len(fit.parts))]
-    return _costs_beside(objective, parts, [fit.residuals for fit in fits])
+    return _costs_beside(objective, parts, [fit.residuals for fit in fits])[0]
 
 
 def marginal_cost(objective: MarginalLikelihood, fit: Fit, variance_inflation: float) -> float:
@@ -100,24 +100,25 @@ def marginal_cost(objective: MarginalLikelihood, fit: Fit, variance_inflation: f
     2006, equation 2.30).
     """
     parts = [(fit.terms, k) for k, term in enumerate(fit.terms) if term.exported]
-    if not parts:
-        return fit.cost / variance_inflation
-    normal, scores = _products(objective, parts, fit.residuals[:, None])
-    lower = np.linalg.cholesky(np.eye(len(normal)) + normal)
-    explained = float(np.sum(solve_triangular(lower, scores, lower=True) ** 2))
-    return (fit.cost - explained) / variance_inflation + 2.0 * float(np.sum(np.log(np.diag(lower))))
+    (cost,), price = _costs_beside(objective, parts, [fit.residuals])
+    return cost / variance_inflation + price
 
 
 def _costs_beside(
     objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], rows: Sequence[np.ndarray]
-) -> list[float]:
-    """Return the costs of rows, (R,) each, beside the model-form errors of parts, given as terms and number."""
+) -> tuple[list[float], float]:
+    """Return the costs of rows, (R,) each, beside the model-form errors of parts, and ln det(I + M M^T).
+
+    Parts are given as terms and number.
+    """
     if not parts:
-        return [float(one @ one) for one in rows]
+        return [float(one @ one) for one in rows], 0.0
     residuals = np.stack(rows, axis=1)
     normal, scores = _products(objective, parts, residuals)
-    explained = np.sum(scores * np.linalg.solve(np.eye(len(normal)) + normal, scores), axis=0)
-    return [float(one @ one - part) for one, part in zip(residuals.T, explained, strict=True)]
+    normal += np.eye(len(normal))
+    explained = np.sum(scores * np.linalg.solve(normal, scores), axis=0)
+    costs = [float(one @ one - part) for one, part in zip(residuals.T, explained, strict=True)]
+    return costs, float(np.linalg.slogdet(normal)[1])
 
 
 def _products(
@@ -195,7 +196,7 @@ def costs_of_rows(
     laws = wrong.laws
     if not wrong.columns.shape[1]:
         parts = [(before.terms, k) for k in range(len(before.parts))]
-        return _costs_beside(objective, parts, rows)
+        return _costs_beside(objective, parts, rows)[0]
     count = wrong.columns.shape[1] if shared else wrong.own
     columns, normal = wrong.columns[:, :count], wrong.normal[:count, :count]
     costs = _costs(columns, normal, rows)

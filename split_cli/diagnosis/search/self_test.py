@@ -319,7 +319,7 @@ def error_of_discrepancy(
     columns: np.ndarray,
     residuals: np.ndarray,
     variance_inflation: float,
-    quiet: float = 0.0,
+    quiet: float,
     deviations: float = STANDARD.selection.deviations,
 ) -> float:
     """Return the upper bound of the 95 % interval of the shared discrepancy's model-form error over its size [1].
