@@ -440,7 +440,7 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
         line = found.line.in_words() if found.line else ""
         remainder = replace(remainder, formula="; and ".join(filter(None, (smooth, line))))
     location = locate(case.real, forces, after, case.keep, policy.reporting)
-    searched = found.outcome.structure.objective, found.outcome.selection, found.outcome.variance_inflation
+    searched = found.outcome.structure.objective, described.searched, found.outcome.variance_inflation
     return Diagnosis(
         "mismatch",
         found.p_value,

@@ -194,12 +194,13 @@ def case_of(reality: Drive, simulation: Drive) -> DiagnosisCase:
     return gather_case(road_car(), [build_series(one, role, s) for one, role, (s, _) in roles])
 
 
-def fitted_scale(case: DiagnosisCase, term: str, variant: str = "") -> float:
-    """Return the scale of a term that is fitted alone, the simulation being a fixed baseline."""
+def fitted_value(case: DiagnosisCase, term: str, variant: str = "", parameter: str = "scale") -> float:
+    """Return a parameter of a term that is fitted alone, the simulation being a fixed baseline."""
     objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics)
-    (candidate,) = (one for one in candidates_of(objective, term) if one.variant == variant)
+    every = build_candidates(case.vehicle, objective.evidence[0].series)
+    (candidate,) = (one for one in every if (one.term, one.variant) == (term, variant))
     fit = fit_parts(objective.with_fixed_baseline(), (Part(candidate, dict(candidate.starts[0])),))
-    return fit.parts[0].values["scale"]
+    return fit.parts[0].values[parameter]
 
 
 def planted(**values: float) -> tuple[Term, ...]:

@@ -8,10 +8,11 @@ import pytest
 import split_cli.diagnosis.baseline.discrepancy as discrepancy_module
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy, tangents
+from split_cli.diagnosis.baseline.tires import AxleForces
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import EffectSpec
-from tests.diagnosis.recordings import case_of, driven, fitted_scale, prepared
+from tests.diagnosis.recordings import case_of, driven, fitted_value, prepared
 from tests.diagnosis.test_self_test import drive, recorded
 from tests.factories import road_car
 
@@ -53,7 +54,7 @@ def test_variants_move_the_body_alike():
 
 @pytest.mark.parametrize("variant", CATALOGUE["cg_shift"].variants)
 def test_forces_are_those_of_the_slips_where_the_axles_really_are(variant):
-    """One motion, told at two points AHEAD apart: tyres slip alike, so their forces are the same."""
+    """One motion, told at two points AHEAD apart: tyres slip alike, so their forces differ by their loads alone."""
     car, series = road_car(), prepared(driven(3, runs=1))
     discrepancy = build_shared_discrepancy(car, series)
     weights = np.random.default_rng(3).standard_normal(discrepancy.columns(series).shape[2])
@@ -61,13 +62,19 @@ def test_forces_are_those_of_the_slips_where_the_axles_really_are(variant):
     ahead = series.predicted + AHEAD * series.predicted[:, 2:] * [0.0, 1.0, 0.0]
     shift = term("cg_shift", variant, dx=AHEAD)
     there = moved_axles(car, [shift])
-    found = discrepancy.rates(replace(series, predicted=ahead), weights, (shift,))
+    moving = replace(series, predicted=ahead)
+    found = discrepancy.rates(moving, weights, (shift,))
+    similar = discrepancy.similarity(moving, (shift,))
+    assert set(similar) == ({1, 2} if variant else set())
+    slips = {axle: one.slip for axle, one in similar.items()}
+    own, _ = discrepancy.rates_of_own_car(series, weights, (), slips)
     forces, moved = (
-        rates @ np.linalg.inv(vehicle.force_matrix()).T
-        for rates, vehicle in ((discrepancy.rates(series, weights), car), (found, there))
+        AxleForces(vehicle, series.steer_angle).of_rates(rates) for rates, vehicle in ((own, car), (found, there))
     )
+    for axle, one in similar.items():
+        forces[:, axle] *= one.peak
     np.testing.assert_allclose(moved, forces, rtol=1e-6, atol=1e-6 * np.abs(forces).max())
-    stays = discrepancy.at_another_car(discrepancy.rates(replace(series, predicted=ahead), weights), series, (shift,))
+    stays = discrepancy.at_another_car(discrepancy.rates(moving, weights), series, (shift,))
     assert np.abs(stays - found).max() > 0.01 * np.abs(found).max()
 
 
@@ -83,9 +90,9 @@ def test_an_inertia_is_found_beside_much_that_the_nominal_lacks(monkeypatch):
     simulation = drive(1, lacking)
     reality = recorded(drive(2, (*lacking, term("yaw_inertia", scale=1.2))), 2)
     case = case_of(reality, simulation)
-    assert fitted_scale(case, "yaw_inertia") == pytest.approx(1.2, abs=0.02)
+    assert fitted_value(case, "yaw_inertia") == pytest.approx(1.2, abs=0.02)
     monkeypatch.setattr(discrepancy_module, "at_another_body", lambda rates, vehicle, terms: rates)
-    assert abs(fitted_scale(case, "yaw_inertia") - 1.2) > 0.02
+    assert abs(fitted_value(case, "yaw_inertia") - 1.2) > 0.02
 
 
 @pytest.mark.parametrize("gyration", [0.35, 0.6, 1.0, 1.25])

@@ -14,6 +14,7 @@ from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects.search import Range
 from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
 
 REPLICATES = 64
@@ -237,3 +238,33 @@ def test_intervals_hold_what_halves_of_the_simulation_differ_by(drive):
     expected = np.hypot(alone.std_error, 0.5 * (alone.value - 1.0))
     # Costs are no parabola in a ratio, by its square, and what is saved holds some noise.
     assert wide.std_error == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.parametrize(("runs", "is_open"), [(6, False), (2, True)])
+def test_an_axle_that_is_nearly_locked_has_a_least_damping_and_perhaps_no_largest(runs, is_open):
+    """Far from an open axle more damping changes next to nothing, so that the cost is no parabola."""
+    truth = {"yaw_damping": 1e5, "slip_stiffness": 0.1}
+    locked = CATALOGUE["yaw_moment_differential"](truth, "slip")
+    objective = by_chance(noisy_objective(driven(45, (locked,), runs=runs), 6))
+    (one,) = (each for each in candidates_of(objective, "yaw_moment_differential") if each.variant == "slip")
+    fit = fit_parts(objective, [Part(one, dict(truth))])
+    (estimates,) = parameter_estimates(objective, fit)
+    value, (low, high) = estimates["yaw_damping"].value, estimates["yaw_damping"].interval_95
+    assert low <= truth["yaw_damping"] <= high
+    assert (high == one.ranges["yaw_damping"].upper) == is_open
+
+    def rise(damping: float) -> float:
+        """Return by how much the cost rises, with the other parameter fitted again."""
+        fixed = {**one.ranges, "yaw_damping": Range(damping * (1 - 1e-9), damping * (1 + 1e-9), 1e-9 * damping)}
+        again = fit_parts(
+            objective, [Part(replace(one, ranges=fixed), {**fit.parts[0].values, "yaw_damping": damping})]
+        )
+        return again.cost - fit.cost
+
+    # One parameter at 95 %, or more where blocks of time say so.
+    assert rise(low) > 3.84
+    if is_open:
+        assert low > 0.2 * value
+    else:
+        assert rise(high) == pytest.approx(rise(low), rel=0.1)
+        assert high - value > 1.3 * (value - low)

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.evidence import gather_evidence
-from split_cli.diagnosis.innovations.linearisation import linearise
+from split_cli.diagnosis.innovations.linearisation import linearise, slopes
 from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.recording.series import Series, build_series, extended_model
 from split_cli.diagnosis.search.candidates import build_candidates
@@ -23,7 +23,9 @@ from split_cli.vehicle.integration import Situation, integrate_with_memory
 from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
-from tests.diagnosis.recordings import noisy_series
+from tests.diagnosis.recordings import case_of, noisy_series
+from tests.diagnosis.test_self_test import drive, recorded
+from tests.factories import road_car
 
 CAR = read_vehicle(library_path("av21"))
 #: A car of a tenth of the size: half of a deviation is gone within two samples of 10 ms.
@@ -295,3 +297,27 @@ def test_rows_of_the_right_model_are_of_unit_variance():
     rows = gather_evidence(SMALL, series, discrepancy).nominal_rows
     # 2,400 rows: a variance is known to 3 %; the predictions' error enters, too.
     assert np.var(rows, axis=0) == pytest.approx([1.0, 1.0, 1.0], abs=0.2)
+
+
+def test_slopes_are_the_jacobian_of_what_is_added():
+    series, stiffer = nominal_drive(), (CATALOGUE["tire_stiffness"]({"front_scale": 1.6, "rear_scale": 1.3}),)
+    at = (*series.predicted.T, series.torque, series.steer_angle)
+    exact = [SingleTrack(CAR, terms).velocity_jacobian(*at) for terms in (stiffer, ())]
+
+    def added(one: Series) -> np.ndarray:
+        here = (*one.predicted.T, one.torque, one.steer_angle)
+        rates = (SingleTrack(CAR, terms).velocity_derivative(*here) for terms in (stiffer, ()))
+        return np.subtract(*(np.stack(one, axis=1) for one in rates))
+
+    found = slopes(added, series)
+    np.testing.assert_allclose(found, exact[0] - exact[1], atol=1e-5 * np.abs(exact[0]).max())
+
+
+def test_what_the_simulation_adds_is_part_of_the_linearisation():
+    """The nominal tyres are too soft by three fifths. A simulation without noise teaches nearly all of it."""
+    stiffer = (CATALOGUE["tire_stiffness"]({"front_scale": 1.6, "rear_scale": 1.6}),)
+    (one,) = case_of(recorded(drive(2, stiffer), 2), drive(1, stiffer)).real
+    at = (*one.series.predicted.T, one.series.torque, one.series.steer_angle)
+    truth, nominal = (SingleTrack(road_car(), terms).velocity_jacobian(*at) for terms in (stiffer, ()))
+    wrong, now = (np.sqrt(np.mean((jacobian - truth) ** 2)) for jacobian in (nominal, one.linear.jacobian))
+    assert now < 0.15 * wrong

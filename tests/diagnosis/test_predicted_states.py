@@ -96,7 +96,7 @@ def damping_learned(series: Series) -> float:
 def at_smoothed_states(monkeypatch) -> None:
     """Evaluate models at smoothed states, which know the noise of later samples."""
     smoothed = "split_cli.diagnosis.innovations.evidence.predicted_by_model"
-    monkeypatch.setattr(smoothed, lambda series, vehicle, row, terms: replace(series, predicted=series.smooth))
+    monkeypatch.setattr(smoothed, lambda series, *model: replace(series, predicted=series.smooth))
 
 
 def test_noise_teaches_no_loss_of_damping(noisy_pair):

@@ -54,8 +54,8 @@ def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) 
 
     Notes
     -----
-    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r. The forces are kept even for variants in which
-    the nominal tyre forces follow the load, since the discrepancy depends mostly on the torque.
+    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r. Where tyres follow the load, their lateral forces
+    are scaled before, see `at_other_tires`. The force along the car is kept: most of it follows the torque.
     """
     altering = [term for term in terms if alters_body(term)]
     if not altering:

@@ -5,21 +5,34 @@ It is a linear combination of basis functions: derivatives of the model with res
 simulation. Reality is compared with the sum, and the weights keep their posterior uncertainty.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from split_cli.diagnosis.baseline._functions_numba import weighted_functions
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles, moves_axles
-from split_cli.diagnosis.baseline.tires import Ratios, at_other_tires, tire_ratios
+from split_cli.diagnosis.baseline.tires import (
+    AxleForces,
+    Ratio,
+    Ratios,
+    Similarity,
+    acts_on_force,
+    alters_tires,
+    at_other_tires,
+    similarity,
+    tire_ratios,
+    with_terms_on_forces,
+)
 from split_cli.diagnosis.cache import RecentResults
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, key_of_terms
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.recording import ResultCache, first_order_response
+from split_cli.vehicle.effects.tires_slope import TireStiffness
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -92,10 +105,31 @@ class SharedDiscrepancy:
             the actuators and at corrected velocities. Its forces scale with the changed tyres, at the slip angles of
             the changed axle positions, and accelerate the changed body.
         """
+        similar = self.similarity(series, terms)
+        slips = {k: one.slip for k, one in similar.items()}
+        own, actual = self.rates_of_own_car(series, weights, terms, slips)
+        return self.at_another_car(own, actual, terms, {k: one.peak for k, one in similar.items()})
+
+    def rates_of_own_car(
+        self,
+        series: Series,
+        weights: np.ndarray,
+        terms: Sequence[Term] = (),
+        slips: Mapping[int, Ratio] = MappingProxyType({}),
+    ) -> tuple[np.ndarray, Series]:
+        """Return the rates (N, 3) at the inputs and slip angles that terms lead to, and the series with these inputs.
+
+        Tyres and body are those of the vehicle; see `at_another_car`.
+
+        Parameters
+        ----------
+        slips : mapping of int to float or ndarray of shape (N,)
+            Factors by which the slip angles of the axles 1 (front) and 2 (rear) are scaled before [1].
+        """
         there = moved_axles(self.vehicle, terms)
         if there is not self.vehicle:
             rest = [term for term in terms if not moves_axles(self.vehicle, term)]
-            return replace(self, vehicle=there).rates(series, weights, rest)
+            return replace(self, vehicle=there).rates_of_own_car(series, weights, rest, slips)
         _, predicted = series.evaluated(terms)
         # The effects of the vehicle file act in the rates below, and must not act twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), predicted)
@@ -103,12 +137,15 @@ class SharedDiscrepancy:
         recording = replace(series.recording, cache=cache)
         actual = replace(series, predicted=predicted, torque=torque, steer_angle=steer_angle, recording=recording)
         of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
-        flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
-        out = SingleTrack.weighted_changes(actual.flow(self._beside), flows)
-        rates = np.stack(out, axis=1) + (self._directions() @ self._weighted(actual, others)).T
-        rates = self.at_another_car(rates, actual, terms)
+        front, rear = (slips.get(k, 1.0) for k in (1, 2))
+        scaled = (TireStiffness({"front_scale": front, "rear_scale": rear}),) if slips else ()
+        altered = (SingleTrack(self.vehicle, (*one.terms, *scaled)) for one in self._altered)
+        beside = SingleTrack(self.vehicle, (*self._beside.terms, *scaled))
+        flows = zip(of_tangents.tolist(), map(actual.flow, altered), strict=True)
+        out = SingleTrack.weighted_changes(actual.flow(beside), flows)
+        rates = np.stack(out, axis=1) + (self._directions() @ self._weighted(actual, others, (front, rear))).T
         cache.clear()
-        return rates
+        return rates, actual
 
     def rates_with_shared_terms(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return the rates, shape (N, 3), of the weighted sum and of the shared terms added to a model with terms."""
@@ -119,30 +156,59 @@ class SharedDiscrepancy:
         both = extended_model(self.vehicle, (*terms, *self.shared_terms))
         return added + series.rates(both, predicted) - series.rates(extended_model(self.vehicle, terms), predicted)
 
-    def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
+    def at_another_car(
+        self, rates: np.ndarray, series: Series, terms: Sequence[Term], ratios: Mapping[int, Ratio] | None = None
+    ) -> np.ndarray:
         """Return rates (N, 3) of the discrepancy scaled to the tyres and the body that terms give the vehicle.
 
         If terms move axles, `rates` must have been evaluated at the slip angles of the moved axles, see `rates`.
+
+        Parameters
+        ----------
+        ratios : mapping of int to float or ndarray of shape (N,), optional
+            Factors of the lateral forces of the axles. By default the changed curves over the old ones: exact for the
+            whole curve, and approximate for rates that were not evaluated at slips of the same share of the peak.
         """
         there = moved_axles(self.vehicle, terms)
-        return at_another_body(at_other_tires(rates, series, there, terms, self._tire_ratios), there, terms)
+        axles = AxleForces(there, series.steer_angle)
+        rates = at_other_tires(rates, axles, self._tire_ratios(series, terms) if ratios is None else ratios)
+        acting = [term for term in terms if acts_on_force(term)]
+        if acting:
+            flow = series.flow(extended_model(self.vehicle, (*terms, *self.shared_terms)))
+            rates = with_terms_on_forces(rates, axles, flow, sorted(acting, key=lambda term: term.order))
+        return at_another_body(rates, there, terms)
 
-    def _tire_ratios(self, series: Series, there: Vehicle, altering: Sequence[Term]) -> Ratios:
-        """Return `tire_ratios`, from the cache if values of terms and axle positions are known."""
+    def similarity(self, series: Series, terms: Sequence[Term]) -> Mapping[int, Similarity]:
+        """Return how terms change the curves of the axles; one with an unchanged curve is left out."""
+        if not any(map(alters_tires, terms)):
+            return {}
+        altering = [term for term in terms if alters_tires(term) or moves_axles(self.vehicle, term)]
+        return similarity(series, self.vehicle, altering)
+
+    def _tire_ratios(self, series: Series, terms: Sequence[Term]) -> Ratios:
+        """Return `tire_ratios`, from the cache if the values of the terms that matter are known."""
+        if not any(map(alters_tires, terms)):
+            return {}
+        altering = [term for term in terms if alters_tires(term) or moves_axles(self.vehicle, term)]
 
         def made() -> tuple[Ratios, Series]:
-            some = series if there is self.vehicle else replace(series)  # else the series would cache its flow
             # The series is kept in the cache, so that its id stays unique.
-            return tire_ratios(some, there, altering), series
+            return tire_ratios(series, self.vehicle, altering), series
 
-        return self._ratios_cache((id(series), there.cg_to_front_axle, key_of_terms(altering)), made)[0]
+        return self._ratios_cache((id(series), key_of_terms(altering)), made)[0]
 
-    def _weighted(self, series: Series, weights: np.ndarray) -> np.ndarray:
-        """Return the weighted sum of the smooth functions by force, shape (3, N), without storing each function."""
+    def _weighted(self, series: Series, weights: np.ndarray, slips: tuple[Ratio, Ratio]) -> np.ndarray:
+        """Return the weighted sum of the smooth functions by force, shape (3, N), without storing each function.
+
+        Parameters
+        ----------
+        slips : tuple of float or ndarray of shape (N,)
+            Factors of the slip angles in front and behind [1].
+        """
         times = len(_MEMORY_SECONDS)
         ends = np.cumsum([len(_EVEN), 1, *2 * (len(_ODD), 4), 2 * times, 2 * times])
         even, size, front, front_sizes, rear, rear_sizes, along, by_front, by_rear = np.split(weights, ends)
-        z = self._scaled(series)
+        z = self._scaled(series, slips)
         by_time = [part.reshape(times, -1) for part in (along, by_front, by_rear)]
         q = series.period / self._memory_seconds()
         return weighted_functions(
@@ -167,9 +233,11 @@ class SharedDiscrepancy:
         z = self._scaled(series)
         return [*self._smooth(z), *self._memory(z, series)]
 
-    def _scaled(self, series: Series) -> np.ndarray:
-        """Return the features, scaled and within bounds, shape (4, N)."""
+    def _scaled(self, series: Series, slips: tuple[Ratio, Ratio] = (1.0, 1.0)) -> np.ndarray:
+        """Return the features, scaled and within bounds, shape (4, N); `slips` as in `_weighted`."""
         z = features(series, self.vehicle, self.shared_terms)
+        z[:, 0] *= slips[0]
+        z[:, 1] *= slips[1]
         return np.ascontiguousarray(_squash(z, self.center, self.width).T)
 
     def _memory_seconds(self) -> np.ndarray:

@@ -51,6 +51,9 @@ class DiagnosisCase:
     predicting: tuple[Term, ...] = ()
     settling: tuple[Term, ...] = ()
     explaining: tuple[Term, ...] = ()
+    # (C,): weights with which the discrepancy is part of what predicts states and is linearised; None if nothing is
+    # shared.
+    weights: np.ndarray | None = None
 
     def compared(self, reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case that compares real rows within the distance `reach` of a simulated one, see `comparable`."""
@@ -99,7 +102,7 @@ class DiagnosisCase:
 
     def _gathered(self, series: Sequence[Series], rules: Believing) -> list[Evidence]:
         """Whiten real recordings in the way of this case."""
-        asked = self.discrepancy, self.simulated, rules, self.predicting, self.settling, self.explaining
+        asked = self.discrepancy, self.simulated, rules, self.weights, self.predicting, self.settling, self.explaining
         return map_in_threads(lambda one: _gathered(self.vehicle, one, *asked), series)
 
     def judged_with_residue(self) -> DiagnosisCase:
@@ -151,10 +154,18 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     discrepancy, simulated = with_shared_terms(by_role["sim"])
     # Without a simulation nothing is shared. What the car has itself then says which states follow from earlier ones.
     predicting = (discrepancy if simulated else with_shared_terms(by_role["real"])[0]).shared_terms
-    real, holdout = (
-        map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules, predicting), by_role[role])
-        for role in ("real", "holdout")
-    )
+
+    def gathered(role: str, weights: np.ndarray | None) -> list[Evidence]:
+        asked = discrepancy, simulated, rules, weights, predicting
+        return map_in_threads(lambda one: _gathered(vehicle, one, *asked), by_role[role])
+
+    weights = None
+    if simulated:
+        # What the simulation teaches is a part of the model that predicts states and is linearised.
+        weights = learn_discrepancy(simulated, policy.comparison.variance_inflation, rules).weights
+        asked = {"discrepancy": discrepancy, "rules": rules, "weights": weights}
+        simulated = map_in_threads(partial(gather_evidence, vehicle, **asked), by_role["sim"])
+    real, holdout = (gathered(role, weights) for role in ("real", "holdout"))
     rewhitened, posterior = _learned(simulated, real, discrepancy, policy) if simulated else ((), None)
     theirs = [one for series in by_role["sim"] for one in build_witnesses(series, rules=rules)]
     usual_by_kind = usual_weights_by_kind(theirs)
@@ -175,6 +186,7 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         rewhitened=rewhitened,
         predicting=tuple(predicting),
         settling=tuple(predicting),
+        weights=weights,
     )
     return case.compared(policy.comparison.reach, policy)
 
@@ -199,12 +211,13 @@ def _gathered(
     discrepancy: SharedDiscrepancy,
     simulated: Sequence[Evidence],
     rules: Believing,
+    weights: np.ndarray | None,
     predicting: Sequence[Term],
     settling: Sequence[Term] | None = None,
     explaining: Sequence[Term] = (),
 ) -> Evidence:
     """Whiten a real recording, with at least the disturbance of the simulated ones."""
     least = _largest_disturbance(simulated) if simulated else None
-    own = gather_evidence(vehicle, series, discrepancy, least, rules, predicting, settling, explaining)
+    own = gather_evidence(vehicle, series, discrepancy, least, rules, predicting, settling, explaining, weights)
     # Without a simulation nothing is shared.
     return own if simulated else replace(own, discrepancy=np.empty((*own.nominal_rows.shape, 0)))

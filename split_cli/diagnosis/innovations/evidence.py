@@ -7,13 +7,14 @@ first of each segment, have weight 0.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.cache import RecentResults
-from split_cli.diagnosis.innovations.linearisation import Linearisation, linearise
+from split_cli.diagnosis.innovations.linearisation import Linearisation, linearise, slopes
 from split_cli.diagnosis.innovations.noise_memory import noise_model
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener, cost_by_disturbance
 from split_cli.diagnosis.policy import STANDARD, Believing
@@ -173,6 +174,7 @@ def gather_evidence(
     predicting: Sequence[Term] | None = None,
     settling: Sequence[Term] | None = None,
     explaining: Sequence[Term] = (),
+    weights: np.ndarray | None = None,
 ) -> Evidence:
     """Whiten a recording; the variance of the disturbances is estimated by maximum likelihood.
 
@@ -188,10 +190,13 @@ def gather_evidence(
     explaining : sequence of Term, optional
         An explanation beside the shared terms. What it leaves gives the disturbance and the robust weights; what
         it explains would count as disturbance, where it is no function of the operating point, as a lag.
+    weights : ndarray, shape (C,), optional
+        Weights of the discrepancy, whose slope is then part of the linearisation.
     """
     predicting = discrepancy.shared_terms if predicting is None else predicting
-    series = predicted_by_model(series, vehicle, _samples_of_a_row(series), predicting)
-    linear = linearise(vehicle, series, predicting)
+    added = None if weights is None else partial(discrepancy.rates, weights=weights, terms=explaining)
+    series = predicted_by_model(series, vehicle, _samples_of_a_row(series), predicting, added)
+    linear = linearise(vehicle, series, predicting, 0.0 if added is None else slopes(added, series))
     model = noise_model(linear)
     shared = discrepancy.shared_terms
 

@@ -9,8 +9,8 @@ once. That shortens every relaxation length that is found, by half in a model ca
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,11 @@ _UNRESOLVED = 4.0
 """Sample period over the time in which forces build up, from which on they do so at once [1]. Judgement: within a
 quarter of a sample. A lag that short cannot be told from the error of integration, which would feed on itself: a
 nominal car's 6 mm became 21 mm in eight passes."""
+
+
+_STEP = 1e-3
+"""Half a step of a central difference, of v_x, v_y [m/s] or r [rad/s]: well below what bends a tyre's curve, and its
+error of rounding is 1e-9 of the rates."""
 
 
 @dataclass(frozen=True)
@@ -87,13 +92,17 @@ class Linearisation:
         return _times(self.immediate, deviation) + np.stack(late, axis=1)
 
 
-def linearise(vehicle: Vehicle, series: Series, terms: Sequence[Term] = ()) -> Linearisation:
+def linearise(
+    vehicle: Vehicle, series: Series, terms: Sequence[Term] = (), added: np.ndarray | float = 0.0
+) -> Linearisation:
     """Return the linearisation of a model at the predicted states of a recording.
 
     Parameters
     ----------
     terms : sequence of Term
         What the model has beyond the vehicle file. Faults that correct channels count for nothing.
+    added : ndarray, shape (N, 3, 3), optional
+        Velocity Jacobians of what is added to the model's rates by lateral tyre forces [1/s], see `slopes`.
 
     Notes
     -----
@@ -106,7 +115,7 @@ def linearise(vehicle: Vehicle, series: Series, terms: Sequence[Term] = ()) -> L
     rest = [one for one in model if not isinstance(one, relaxation) and one not in acting]
     at = (*series.predicted.T, *series.inputs(SingleTrack(vehicle, acting), series.predicted))
     where = {"yaw": series.yaw, "t": series.t, "s": series.s}
-    jacobian = SingleTrack(vehicle, rest).velocity_jacobian(*at, **where)
+    jacobian = SingleTrack(vehicle, rest).velocity_jacobian(*at, **where) + added
     late = relaxation({"length": length})
     by_speed = late.fastest_rate(1.0)  # 0 for a length so short that forces build up at once
     rate = by_speed * np.abs(series.predicted[:, 0])
@@ -119,6 +128,19 @@ def linearise(vehicle: Vehicle, series: Series, terms: Sequence[Term] = ()) -> L
     held = {name: np.zeros(len(series)) for name in slow.state_names}
     immediate = slow.velocity_jacobian(*at, **where, states=held)
     return Linearisation(jacobian, immediate, rate, series.recording)
+
+
+def slopes(rates_of: Callable[[Series], np.ndarray], series: Series) -> np.ndarray:
+    """Return the velocity Jacobians of rates (N, 3) at the predicted states of a recording, shape (N, 3, 3) [1/s].
+
+    By central differences; `rates_of` is called with the recording at other predicted states.
+    """
+    out = np.empty((len(series), 3, 3))
+    for k, step in enumerate(_STEP * np.eye(3)):
+        moved = (series.predicted + step, series.predicted - step)
+        ahead, behind = (rates_of(replace(series, predicted=one)) for one in moved)
+        out[:, :, k] = (ahead - behind) / (2.0 * _STEP)
+    return out
 
 
 def _to_motion(jacobian: np.ndarray, period: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 
 from split_cli.diagnosis.baseline.body import alters_body, moved_axles, moves_axles, with_cg_ahead
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
-from split_cli.diagnosis.baseline.tires import alters_tires
+from split_cli.diagnosis.baseline.tires import AxleForces, alters_tires, at_scaled_slips
 from split_cli.diagnosis.cache import RecentResults
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated, weighted_rows
@@ -282,35 +282,59 @@ class MarginalLikelihood:
         return self.discrepancy.at_another_car(there - here, one.series, others)
 
     def _rates(self, one: Evidence, altering: Sequence[Term]) -> np.ndarray:
-        """Return the shared discrepancy's rates (N, 3) with terms that alter inputs, sensors or slip angles; cached."""
+        """Return the discrepancy's rates (N, 3) at the inputs and slip angles that terms lead to; cached.
+
+        Tyres and body are those of the vehicle.
+        """
         return self._remembered(
             ("discrepancy rates", id(one)),
             altering,
-            lambda: self.discrepancy.rates(one.series, self.posterior.weights, altering),
+            lambda: self.discrepancy.rates_of_own_car(one.series, self.posterior.weights, altering)[0],
         )
 
     def discrepancy_change(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray | None:
-        """Return how terms that alter tyres or body change the discrepancy's rates, shape (N, 3); None if none does."""
+        """Return how terms that alter tyres or body change the discrepancy's rates, shape (N, 3); None if none does.
+
+        From the cache if their values are known.
+        """
         others = [term for term in terms if alters_car(term)]
         if self.posterior is None or not others:
             return None
-        there = self._rates_at_axles(one, others)
-        return self.discrepancy.at_another_car(there, one.series, others) - self._rates(one, ())
 
-    def _rates_at_axles(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
+        def change() -> np.ndarray:
+            similar = self.discrepancy.similarity(one.series, others)
+            there = at_scaled_slips(
+                lambda scale: self._rates_at_axles(one, others, scale),
+                {k: axle.slip for k, axle in similar.items()},
+                AxleForces(moved_axles(self.discrepancy.vehicle, others), one.series.steer_angle),
+            )
+            peaks = {k: axle.peak for k, axle in similar.items()}
+            return self.discrepancy.at_another_car(there, one.series, others, peaks) - self._rates(one, ())
+
+        return self._remembered(("discrepancy change", id(one)), others, change)
+
+    def _rates_at_axles(self, one: Evidence, terms: Sequence[Term], scale: float) -> np.ndarray:
         """Return the shared discrepancy's rates (N, 3) with a shifted CG, interpolated between steps of the shift.
 
         The rates are smooth in the shift. Evaluating them at each step of a fit would take a third of its time.
+
+        Parameters
+        ----------
+        scale : float
+            Factor of the slip angles of both axles [1].
         """
         vehicle = self.discrepancy.vehicle
         ahead = vehicle.cg_to_front_axle - moved_axles(vehicle, terms).cg_to_front_axle
         step = _SHIFTS * vehicle.wheelbase
         below, share = divmod(ahead / step, 1.0)
+        slips = {} if scale == 1.0 else {1: scale, 2: scale}
 
         def at(shift: float) -> np.ndarray:
             there = replace(self.discrepancy, vehicle=with_cg_ahead(vehicle, shift * step))
             return self._remembered(
-                ("rates at axles", id(one), shift), (), lambda: there.rates(one.series, self.posterior.weights)
+                ("rates at axles", id(one), shift, scale),
+                (),
+                lambda: there.rates_of_own_car(one.series, self.posterior.weights, (), slips)[0],
             )
 
         return at(below) if share < 1e-9 else (1.0 - share) * at(below) + share * at(below + 1.0)

@@ -7,7 +7,7 @@ corrected for the sensor faults among the terms of an explanation.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -424,7 +424,13 @@ def _filled(values: np.ndarray) -> np.ndarray:
     return np.interp(rows, rows[known], values[known])
 
 
-def predicted_by_model(series: Series, vehicle: Vehicle, row: int = 1, terms: Sequence[Term] = ()) -> Series:
+def predicted_by_model(
+    series: Series,
+    vehicle: Vehicle,
+    row: int = 1,
+    terms: Sequence[Term] = (),
+    added: Callable[[Series], np.ndarray] | None = None,
+) -> Series:
     """Return the series with states predicted with the help of a model, channel by channel if that is better.
 
     Parameters
@@ -433,6 +439,8 @@ def predicted_by_model(series: Series, vehicle: Vehicle, row: int = 1, terms: Se
         Samples of a row; a sample is predicted from those before its row.
     terms : sequence of Term
         What the model has beyond the nominal one, such as the lags of the simulation.
+    added : callable, optional
+        Returns further rates of the model (N, 3) along a recording.
 
     Notes
     -----
@@ -441,7 +449,9 @@ def predicted_by_model(series: Series, vehicle: Vehicle, row: int = 1, terms: Se
     """
     moved, recording = np.zeros_like(series.measured), series.recording
     plain = predicted_channels(series.measured, series.smooth, series.noise, recording, row)
-    rates = replace(series, predicted=plain[0]).rates(extended_model(vehicle, terms))
+    there = replace(series, predicted=plain[0])
+    rates = there.rates(extended_model(vehicle, terms))
+    rates = rates if added is None else rates + added(there)
     for begin, end in recording.segments:
         moved[begin + 1 : end] = np.cumsum(series.period * rates[begin : end - 1], axis=0)
     by_model = predicted_channels(series.measured - moved, series.smooth - moved, series.noise, recording, row)

@@ -93,8 +93,13 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
             limits = (value - wide * error + min(moved[column], 0.0), value + wide * error + max(moved[column], 0.0))
             if name in _PLACES:
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(random.unit, 1e-300))), 1.0)
-                limits = _place_limits(objective, fit, k, name, rise)
+                limits = _limits_by_cost(objective, fit, k, name, rise)
                 error = (limits[1] - limits[0]) / (2.0 * wide)
+            elif physical.ends_complete:
+                others = np.delete(J, column, axis=1)
+                rise = wide**2 * variance[column] / max(random.unit[column], 1e-300)
+                by_cost = np.array(_limits_by_cost(objective, fit, k, name, float(rise), others)) - value
+                limits = tuple(value + np.sign(by_cost) * np.hypot(by_cost, wide * abs(away) * np.hypot(shared, own)))
             elif recorded and (minima := other_minima(objective, fit, k, name)):
                 # Each minimum has the same width as the one that was found.
                 reach = np.array(limits) - value
@@ -168,19 +173,31 @@ def _possible(limits: tuple[float, float], value: float, physical: Range) -> tup
     return min(value, max(limits[0], physical.lower)), max(value, min(limits[1], physical.upper))
 
 
-def _place_limits(objective: MarginalLikelihood, fit: Fit, k: int, name: str, rise: float) -> tuple[float, float]:
-    """Return the interval of an end of a stretch [m] within which the cost rises by less than `rise`.
+def _limits_by_cost(
+    objective: MarginalLikelihood, fit: Fit, k: int, name: str, rise: float, others: np.ndarray | None = None
+) -> tuple[float, float]:
+    """Return the interval of a parameter within which the cost rises by less than `rise`, within its range.
 
-    The cost is not quadratic there: between two turns the data do not determine where a stretch ends.
+    For parameters in which the cost is not quadratic. Between two turns the data do not determine where a stretch ends.
+    An axle that is nearly locked says how much slip there is at least, and not by how much a stiffer coupling would
+    change it.
+
+    Parameters
+    ----------
+    k : int
+        Number of the part.
+    others : ndarray, shape (R, Q), optional
+        Sensitivity to other parameters, which follow the parameter linearly. Without it they keep their values.
     """
     part = fit.parts[k]
     limit, here = part.candidate.ranges[name], part.values[name]
-    shift = objective.shift(fit.terms)
+    across = np.zeros((len(fit.residuals), 0)) if others is None else np.linalg.qr(others)[0]
 
-    def cost_at(place: float) -> float:
-        moved = Part(part.candidate, {**part.values, name: place})
-        residuals = objective.whiten(objective.residual([*fit.terms[:k], moved.term, *fit.terms[k + 1 :]]) - shift)
-        return float(residuals @ residuals)
+    def cost_at(value: float) -> float:
+        moved = Part(part.candidate, {**part.values, name: value})
+        terms = [*fit.terms[:k], moved.term, *fit.terms[k + 1 :]]
+        residuals = objective.whiten(objective.raw_residual(terms))
+        return float(residuals @ residuals - np.sum((across.T @ residuals) ** 2))
 
     allowed = cost_at(here) + rise
     ends = []

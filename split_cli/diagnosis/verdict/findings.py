@@ -44,7 +44,8 @@ class _Reported:
 class Description:
     """The findings of a search, and the remainder."""
 
-    selection: Selection  # in which only trusted terms are named
+    selection: Selection  # fitted without terms that are not trusted, in which only trusted ones are named
+    searched: Selection  # that of the search, in which only trusted terms are named: others may be leads
     findings: tuple[Finding, ...]
     remainder: RemainderTest
     unexplained: bool  # whether a part of the gap is explained by no finding
@@ -113,7 +114,8 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
         by_names = _left_by_names(outcome, selection)
         if by_names.p_value < objective.policy.selection.level and by_names.effect_to_noise > _large(outcome):
             unexplained, remainder = True, by_names
-    return Description(selection, findings, remainder, unexplained, is_apart)
+    doubted = {term.id for term in outcome.selection.terms} - {one.term for one in findings}
+    return Description(selection, _nameless(outcome.selection, doubted), findings, remainder, unexplained, is_apart)
 
 
 def _only_findings(reported: Sequence[_Reported]) -> tuple[Finding, ...]:
@@ -380,7 +382,7 @@ def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) 
     )
 
 
-def _nameless(selection: Selection, terms: set[str]) -> Selection:
+def _nameless(selection: Selection, terms: Set[str]) -> Selection:
     """Return a selection in which these terms are nuisance terms."""
     named = tuple(
         one and part.candidate.term not in terms
