@@ -102,8 +102,8 @@ class SharedDiscrepancy:
         weights : ndarray, shape (C,)
         terms : sequence of Term
             Terms that change inputs, sensors, tyres or body. The sum is evaluated at the torque and steer angle behind
-            the actuators and at corrected velocities. Its forces scale with the changed tyres, at the slip angles of
-            the changed axle positions, and accelerate the changed body.
+            the actuators and at corrected velocities. Its forces change as those of the tyres do (`Similarity`,
+            `with_terms_on_forces`), at the slip angles of the changed axle positions, and accelerate the changed body.
         """
         similar = self.similarity(series, terms)
         slips = {k: one.slip for k, one in similar.items()}
@@ -166,8 +166,7 @@ class SharedDiscrepancy:
         Parameters
         ----------
         ratios : mapping of int to float or ndarray of shape (N,), optional
-            Factors of the lateral forces of the axles. By default the changed curves over the old ones: exact for the
-            whole curve, and approximate for rates that were not evaluated at slips of the same share of the peak.
+            Factors of the lateral forces of the axles. By default `tire_ratios`, for small differences of rates.
         """
         there = moved_axles(self.vehicle, terms)
         axles = AxleForces(there, series.steer_angle)

@@ -191,10 +191,11 @@ def gather_evidence(
         An explanation beside the shared terms. What it leaves gives the disturbance and the robust weights; what
         it explains would count as disturbance, where it is no function of the operating point, as a lag.
     weights : ndarray, shape (C,), optional
-        Weights of the discrepancy, whose slope is then part of the linearisation.
+        Weights of the discrepancy, which then predicts states and is linearised with the model.
     """
     predicting = discrepancy.shared_terms if predicting is None else predicting
-    added = None if weights is None else partial(discrepancy.rates, weights=weights, terms=explaining)
+    of_car = [term for term in explaining if term.moves_car and not term.corrects]
+    added = None if weights is None else partial(discrepancy.rates, weights=weights, terms=of_car)
     series = predicted_by_model(series, vehicle, _samples_of_a_row(series), predicting, added)
     linear = linearise(vehicle, series, predicting, 0.0 if added is None else slopes(added, series))
     model = noise_model(linear)

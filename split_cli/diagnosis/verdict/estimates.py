@@ -60,9 +60,11 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
 
     An interval also contains the value under the best load law between the variants (`moved_between_load_laws`), and
     every other minimum of the cost over a delay that explains as well (`other_minima`). It ends at the range of a real
-    car. A parameter that changes all rows by less than one standard deviation over its whole range was not excited, as
-    a brake gain without braking. It gets its neutral value, and its range as interval. In a joint region the model-form
-    error of the tyres is independent for each parameter; other systematic error is a common share of the effect.
+    car. The cost is no parabola over a parameter with `Range.ends_complete`, so its random error is that of the cost
+    itself (`_limits_by_cost`). A parameter that changes all rows by less than one standard deviation over its whole
+    range was not excited, as a brake gain without braking. It gets its neutral value, and its range as interval. In a
+    joint region the model-form error of the tyres is independent for each parameter; other systematic error is a common
+    share of the effect.
     """
     from scipy.stats import t as student
 
