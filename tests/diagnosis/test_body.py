@@ -8,7 +8,7 @@ import pytest
 import split_cli.diagnosis.baseline.discrepancy as discrepancy_module
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy, tangents
-from split_cli.diagnosis.baseline.tires import AxleForces
+from split_cli.diagnosis.baseline.tires import AxleBalance
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import EffectSpec
@@ -69,7 +69,7 @@ def test_forces_are_those_of_the_slips_where_the_axles_really_are(variant):
     slips = {axle: one.slip for axle, one in similar.items()}
     own, _ = discrepancy.rates_of_own_car(series, weights, (), slips)
     forces, moved = (
-        AxleForces(vehicle, series.steer_angle).of_rates(rates) for rates, vehicle in ((own, car), (found, there))
+        AxleBalance(vehicle, series.steer_angle).of_rates(rates) for rates, vehicle in ((own, car), (found, there))
     )
     for axle, one in similar.items():
         forces[:, axle] *= one.peak

@@ -6,7 +6,7 @@ import pytest
 import split_cli.diagnosis.baseline.discrepancy as discrepancy_module
 from split_cli.diagnosis.baseline.body import with_cg_ahead
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
-from split_cli.diagnosis.baseline.tires import AxleForces, at_other_tires, at_scaled_slips, similarity, tire_ratios
+from split_cli.diagnosis.baseline.tires import AxleBalance, at_other_tires, at_scaled_slips, similarity, tire_ratios
 from split_cli.diagnosis.recording.series import Series, extended_model
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
@@ -24,8 +24,8 @@ def term(name: str, variant: str = "", **values: float) -> Term:
     return CATALOGUE[name](values, variant)
 
 
-def axles_of(vehicle: Vehicle, series: Series) -> AxleForces:
-    return AxleForces(vehicle, series.steer_angle)
+def axles_of(vehicle: Vehicle, series: Series) -> AxleBalance:
+    return AxleBalance(vehicle, series.steer_angle)
 
 
 def lacking() -> tuple[Term, ...]:

@@ -17,7 +17,7 @@ import numpy as np
 from split_cli.diagnosis.baseline._functions_numba import weighted_functions
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles, moves_axles
 from split_cli.diagnosis.baseline.tires import (
-    AxleForces,
+    AxleBalance,
     Ratio,
     Ratios,
     Similarity,
@@ -169,7 +169,7 @@ class SharedDiscrepancy:
             Factors of the lateral forces of the axles. By default `tire_ratios`, for small differences of rates.
         """
         there = moved_axles(self.vehicle, terms)
-        axles = AxleForces(there, series.steer_angle)
+        axles = AxleBalance(there, series.steer_angle)
         rates = at_other_tires(rates, axles, self._tire_ratios(series, terms) if ratios is None else ratios)
         acting = [term for term in terms if acts_on_force(term)]
         if acting:

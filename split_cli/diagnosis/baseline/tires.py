@@ -74,7 +74,7 @@ def tire_ratios(series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> Rati
 
 
 @dataclass(frozen=True)
-class AxleForces:
+class AxleBalance:
     """Which forces cause rates along a recording: F_x of the car, and those across the front and the rear wheels [N].
 
     The front wheels' force has a part along the car where they are steered.
@@ -99,14 +99,14 @@ class AxleForces:
         return turned @ self.vehicle.force_matrix().T
 
 
-def at_other_tires(rates: np.ndarray, axles: AxleForces, ratios: Ratios) -> np.ndarray:
+def at_other_tires(rates: np.ndarray, axles: AxleBalance, ratios: Ratios) -> np.ndarray:
     """Return rates, shape (N, 3), whose lateral axle forces are scaled by the change of the tyres' curves.
 
     Parameters
     ----------
     rates : ndarray, shape (N, 3)
         Of v_x, v_y [m/s^2] and r [rad/s^2], in the middle of the samples of a recording.
-    axles : AxleForces
+    axles : AxleBalance
     ratios : mapping of int to float or ndarray of shape (N,)
         Factors of the forces in front (1) and behind (2): `Similarity.peak` where the rates were evaluated at the slips
         that it names, else `tire_ratios`.
@@ -125,7 +125,7 @@ def at_other_tires(rates: np.ndarray, axles: AxleForces, ratios: Ratios) -> np.n
     return axles.to_rates(forces)
 
 
-def at_scaled_slips(rates_at: Callable[[float], np.ndarray], slips: Ratios, axles: AxleForces) -> np.ndarray:
+def at_scaled_slips(rates_at: Callable[[float], np.ndarray], slips: Ratios, axles: AxleBalance) -> np.ndarray:
     """Return rates, shape (N, 3), whose lateral axle forces are those at scaled slip angles.
 
     Parameters
@@ -134,7 +134,7 @@ def at_scaled_slips(rates_at: Callable[[float], np.ndarray], slips: Ratios, axle
         ``rates_at(scale)`` returns the rates with the slip angles of both axles scaled.
     slips : mapping of int to float or ndarray of shape (N,)
         Factors of the slip angles in front (1) and behind (2) [1]; 1 for an axle that is left out.
-    axles : AxleForces
+    axles : AxleBalance
 
     Notes
     -----
@@ -155,7 +155,7 @@ def at_scaled_slips(rates_at: Callable[[float], np.ndarray], slips: Ratios, axle
     return axles.to_rates(forces)
 
 
-def with_terms_on_forces(rates: np.ndarray, axles: AxleForces, flow: Flow, terms: Sequence[Term]) -> np.ndarray:
+def with_terms_on_forces(rates: np.ndarray, axles: AxleBalance, flow: Flow, terms: Sequence[Term]) -> np.ndarray:
     """Return rates, shape (N, 3), whose lateral axle forces are late, or share the grip, as the terms say.
 
     Parameters

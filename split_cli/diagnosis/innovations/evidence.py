@@ -194,8 +194,8 @@ def gather_evidence(
         Weights of the discrepancy, which then predicts states and is linearised with the model.
     """
     predicting = discrepancy.shared_terms if predicting is None else predicting
-    of_car = [term for term in explaining if term.moves_car and not term.corrects]
-    added = None if weights is None else partial(discrepancy.rates, weights=weights, terms=of_car)
+    # At velocities that are corrected for faults of sensors, where the tyres really are.
+    added = None if weights is None else partial(discrepancy.rates, weights=weights, terms=explaining)
     series = predicted_by_model(series, vehicle, _samples_of_a_row(series), predicting, added)
     linear = linearise(vehicle, series, predicting, 0.0 if added is None else slopes(added, series))
     model = noise_model(linear)

@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 
 from split_cli.diagnosis.baseline.body import alters_body, moved_axles, moves_axles, with_cg_ahead
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
-from split_cli.diagnosis.baseline.tires import AxleForces, alters_tires, at_scaled_slips
+from split_cli.diagnosis.baseline.tires import AxleBalance, alters_tires, at_scaled_slips
 from split_cli.diagnosis.cache import RecentResults
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated, weighted_rows
@@ -306,7 +306,7 @@ class MarginalLikelihood:
             there = at_scaled_slips(
                 lambda scale: self._rates_at_axles(one, others, scale),
                 {k: axle.slip for k, axle in similar.items()},
-                AxleForces(moved_axles(self.discrepancy.vehicle, others), one.series.steer_angle),
+                AxleBalance(moved_axles(self.discrepancy.vehicle, others), one.series.steer_angle),
             )
             peaks = {k: axle.peak for k, axle in similar.items()}
             return self.discrepancy.at_another_car(there, one.series, others, peaks) - self._rates(one, ())
