@@ -111,11 +111,7 @@ class SharedDiscrepancy:
         return self.at_another_car(own, actual, terms, {k: one.peak for k, one in similar.items()})
 
     def rates_of_own_car(
-        self,
-        series: Series,
-        weights: np.ndarray,
-        terms: Sequence[Term] = (),
-        slips: Mapping[int, Ratio] = MappingProxyType({}),
+        self, series: Series, weights: np.ndarray, terms: Sequence[Term] = (), slips: Ratios = MappingProxyType({})
     ) -> tuple[np.ndarray, Series]:
         """Return the rates (N, 3) at the inputs and slip angles that terms lead to, and the series with these inputs.
 
@@ -157,7 +153,7 @@ class SharedDiscrepancy:
         return added + series.rates(both, predicted) - series.rates(extended_model(self.vehicle, terms), predicted)
 
     def at_another_car(
-        self, rates: np.ndarray, series: Series, terms: Sequence[Term], ratios: Mapping[int, Ratio] | None = None
+        self, rates: np.ndarray, series: Series, terms: Sequence[Term], ratios: Ratios | None = None
     ) -> np.ndarray:
         """Return rates (N, 3) of the discrepancy scaled to the tyres and the body that terms give the vehicle.
 
@@ -179,22 +175,25 @@ class SharedDiscrepancy:
 
     def similarity(self, series: Series, terms: Sequence[Term]) -> Mapping[int, Similarity]:
         """Return how terms change the curves of the axles; one with an unchanged curve is left out."""
-        if not any(map(alters_tires, terms)):
-            return {}
-        altering = [term for term in terms if alters_tires(term) or moves_axles(self.vehicle, term)]
-        return similarity(series, self.vehicle, altering)
+        altering = self._altering_tires(terms)
+        return similarity(series, self.vehicle, altering) if altering else {}
 
     def _tire_ratios(self, series: Series, terms: Sequence[Term]) -> Ratios:
         """Return `tire_ratios`, from the cache if the values of the terms that matter are known."""
-        if not any(map(alters_tires, terms)):
+        altering = self._altering_tires(terms)
+        if not altering:
             return {}
-        altering = [term for term in terms if alters_tires(term) or moves_axles(self.vehicle, term)]
 
         def made() -> tuple[Ratios, Series]:
             # The series is kept in the cache, so that its id stays unique.
             return tire_ratios(series, self.vehicle, altering), series
 
         return self._ratios_cache((id(series), key_of_terms(altering)), made)[0]
+
+    def _altering_tires(self, terms: Sequence[Term]) -> list[Term]:
+        """Return the terms that change tyres, and those that move axles beside them; none if no tyre changes."""
+        found = [term for term in terms if alters_tires(term) or moves_axles(self.vehicle, term)]
+        return found if any(map(alters_tires, found)) else []
 
     def _weighted(self, series: Series, weights: np.ndarray, slips: tuple[Ratio, Ratio]) -> np.ndarray:
         """Return the weighted sum of the smooth functions by force, shape (3, N), without storing each function.
