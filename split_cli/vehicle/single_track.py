@@ -54,11 +54,6 @@ def complete(axle: AxleFlow, ops: Operations) -> None:
         axle.lateral_force = lateral_force(axle.B, axle.C, axle.D, axle.slip_angle, ops)
 
 
-def same_curve(axle: AxleFlow, other: AxleFlow) -> bool:
-    """Return whether two axles have the very same coefficients and slip angle, and so one force."""
-    return _same_shape(axle, other) and _same(axle.D, other.D)
-
-
 def _same_shape(axle: AxleFlow, other: AxleFlow) -> bool:
     """Return whether the forces of two axles differ by the ratio of their peaks alone."""
     return axle.slip_angle is other.slip_angle and _same(axle.B, other.B) and _same(axle.C, other.C)

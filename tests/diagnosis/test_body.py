@@ -65,14 +65,13 @@ def test_forces_are_those_of_the_slips_where_the_axles_really_are(variant):
     moving = replace(series, predicted=ahead)
     found = discrepancy.rates(moving, weights, (shift,))
     similar = discrepancy.similarity(moving, (shift,))
-    assert set(similar) == ({1, 2} if variant else set())
-    slips = {axle: one.slip for axle, one in similar.items()}
-    own, _ = discrepancy.rates_of_own_car(series, weights, (), slips)
+    assert set(similar.peak) == ({1, 2} if variant else set())
+    own, _ = discrepancy.rates_of_own_car(series, weights, (), similar.slip)
     forces, moved = (
         AxleBalance(vehicle, series.steer_angle).of_rates(rates) for rates, vehicle in ((own, car), (found, there))
     )
-    for axle, one in similar.items():
-        forces[:, axle] *= one.peak
+    for axle, peak in similar.peak.items():
+        forces[:, axle] *= peak
     np.testing.assert_allclose(moved, forces, rtol=1e-6, atol=1e-6 * np.abs(forces).max())
     stays = discrepancy.at_another_car(discrepancy.rates(moving, weights), series, (shift,))
     assert np.abs(stays - found).max() > 0.01 * np.abs(found).max()

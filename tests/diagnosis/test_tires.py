@@ -94,16 +94,17 @@ def test_a_curve_of_the_same_shape_is_the_old_one_at_scaled_slips(name, values):
     """With F'(alpha) = peak F(slip alpha), what the nominal model lacks of a car is scaled by the same factors."""
     car, series = road_car(), prepared(driven(3, runs=1))
     changed = term(name, **values)
-    peak_and_slip = similarity(series, car, (changed,))
-    flow = series.flow(extended_model(car))
-    for k, tire, angle in ((1, car.front_tire, flow.front.slip_angle), (2, car.rear_tire, flow.rear.slip_angle)):
-        axle = series.flow(extended_model(car, (changed,)))
-        there = (axle.front if k == 1 else axle.rear).lateral_force
-        one = peak_and_slip[k]
-        np.testing.assert_allclose(there, one.peak * lateral_force(tire.B, tire.C, tire.D, one.slip * angle), rtol=1e-9)
+    similar = similarity(series, car, (changed,))
+    before, after = (series.flow(extended_model(car, terms)) for terms in ((), (changed,)))
+    for k, tire, old, new in (
+        (1, car.front_tire, before.front, after.front),
+        (2, car.rear_tire, before.rear, after.rear),
+    ):
+        scaled = lateral_force(tire.B, tire.C, tire.D, similar.slip[k] * old.slip_angle)
+        np.testing.assert_allclose(new.lateral_force, similar.peak[k] * scaled, rtol=1e-9)
 
 
-def test_rates_at_scaled_slips_are_interpolated_to_a_thousandth():
+def test_rates_at_scaled_slips_are_interpolated_to_some_thousandths():
     car, series = road_car(), prepared(driven(3, runs=1))
     discrepancy = build_shared_discrepancy(car, series)
     weights = np.random.default_rng(3).standard_normal(discrepancy.columns(series).shape[2])
@@ -142,7 +143,7 @@ def test_a_shifted_cg_loads_the_tyres_once():
     car, series = road_car(), prepared(driven(3, runs=1))
     forces = np.random.default_rng(7).standard_normal((len(series), 3)) * 1000.0
     axles, shift = axles_of(with_cg_ahead(car, 0.1), series), (term("cg_shift", "loaded", dx=0.1),)
-    peaks = {k: one.peak for k, one in similarity(series, car, shift).items()}
+    peaks = similarity(series, car, shift).peak
     found = build_shared_discrepancy(car, series).at_another_car(axles.to_rates(forces), series, shift, peaks)
     ratios = np.array([1.0, 1.0 + 0.1 / car.cg_to_rear_axle, 1.0 - 0.1 / car.cg_to_front_axle])
     np.testing.assert_allclose(axles.of_rates(found), forces * ratios, rtol=1e-9, atol=1e-6)

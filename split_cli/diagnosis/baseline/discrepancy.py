@@ -5,7 +5,7 @@ It is a linear combination of basis functions: derivatives of the model with res
 simulation. Reality is compared with the sum, and the weights keep their posterior uncertainty.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -106,9 +106,8 @@ class SharedDiscrepancy:
             `with_terms_on_forces`), at the slip angles of the changed axle positions, and accelerate the changed body.
         """
         similar = self.similarity(series, terms)
-        slips = {k: one.slip for k, one in similar.items()}
-        own, actual = self.rates_of_own_car(series, weights, terms, slips)
-        return self.at_another_car(own, actual, terms, {k: one.peak for k, one in similar.items()})
+        own, actual = self.rates_of_own_car(series, weights, terms, similar.slip)
+        return self.at_another_car(own, actual, terms, similar.peak)
 
     def rates_of_own_car(
         self, series: Series, weights: np.ndarray, terms: Sequence[Term] = (), slips: Ratios = MappingProxyType({})
@@ -173,10 +172,10 @@ class SharedDiscrepancy:
             rates = with_terms_on_forces(rates, axles, flow, sorted(acting, key=lambda term: term.order))
         return at_another_body(rates, there, terms)
 
-    def similarity(self, series: Series, terms: Sequence[Term]) -> Mapping[int, Similarity]:
+    def similarity(self, series: Series, terms: Sequence[Term]) -> Similarity:
         """Return how terms change the curves of the axles; one with an unchanged curve is left out."""
         altering = self._altering_tires(terms)
-        return similarity(series, self.vehicle, altering) if altering else {}
+        return similarity(series, self.vehicle, altering) if altering else Similarity({}, {})
 
     def _tire_ratios(self, series: Series, terms: Sequence[Term]) -> Ratios:
         """Return `tire_ratios`, from the cache if the values of the terms that matter are known."""

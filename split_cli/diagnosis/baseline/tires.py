@@ -7,6 +7,7 @@ of a whole axle, and it would hide a change of grip. The same holds for tyres th
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from split_cli.vehicle.compiled_operations import COMPILED
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.flow import AxleFlow, Flow
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.vehicle.single_track import same_curve
 from split_cli.vehicle.tire import lateral_force
 
 
@@ -32,34 +32,38 @@ def acts_on_force(term: Term) -> bool:
     return term.through_tires and type(term).lateral is not Term.lateral
 
 
-# Step between scaled slips at which the discrepancy is evaluated, of the logarithm of the scale [1]. Between steps a
-# force with the curvature of a tyre's curve is interpolated to a thousandth. Judgement, of computing time.
+# Step between scaled slips at which the discrepancy is evaluated, of the logarithm of the scale [1]. Judgement, of
+# computing time: with random weights interpolated rates err by two to four thousandths of the largest ones
+# (tests/diagnosis/test_tires.py).
 _SLIP_STEP = 0.1
-_MOST_SCALED = 3.0  # logarithm of the largest scale of slips [1]: far beyond, a tyre only slides
+# Logarithm of the largest scale of slips, and of the inverse of the smallest [1]. Judgement: at twenty times its slip a
+# tyre slides, and at a twentieth it is linear. It bounds the evaluations where a wheel has next to no load.
+_MOST_SCALED = 3.0
 
 #: A factor [1] that is the same all along, or shape (N,).
 Ratio = float | np.ndarray
-#: Forces of one curve over those of another [1], by the number of the force: 1 in front, 2 behind.
+#: A factor for each axle whose lateral force changes, by the number of the force: 1 in front, 2 behind.
 Ratios = Mapping[int, Ratio]
 
 
 @dataclass(frozen=True)
 class Similarity:
-    """How an axle's curve became another of the same shape: F'(alpha) = peak F(slip alpha).
+    """How the curves of axles became others of the same shape: F'(alpha) = peak F(slip alpha).
 
-    With F = D sin(C atan(B alpha)), `peak` is D'/D and `slip` is B'/B [1]. Source: Pacejka (2012), section 4.2.
+    With F = D sin(C atan(B alpha)), `peak` is D'/D and `slip` is B'/B. Source: Pacejka (2012), section 4.2.
     """
 
-    peak: Ratio
-    slip: Ratio
+    peak: Ratios
+    slip: Ratios
 
 
-def similarity(series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> Mapping[int, Similarity]:
+def similarity(series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> Similarity:
     """Return how terms change the curves of the axles along a recording; an axle with an unchanged one is left out."""
-    old, new = (series.flow(extended_model(vehicle, some)) for some in ((), terms))
-    axles = {1: (old.front, new.front), 2: (old.rear, new.rear)}
-    found = {k: Similarity(after.D / before.D, after.B / before.B) for k, (before, after) in axles.items()}
-    return {k: one for k, one in found.items() if np.any(one.peak != 1.0) or np.any(one.slip != 1.0)}
+    changed = _changed_axles(series, vehicle, terms)
+    return Similarity(
+        {k: after.D / before.D for k, (before, after) in changed.items()},
+        {k: after.B / before.B for k, (before, after) in changed.items()},
+    )
 
 
 def tire_ratios(series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> Ratios:
@@ -67,10 +71,18 @@ def tire_ratios(series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> Rati
 
     Both are at the slip angles of the car with the terms, which may move its axles.
     """
+    return {k: _ratio(*pair) for k, pair in _changed_axles(series, vehicle, terms).items()}
+
+
+def _changed_axles(series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> Mapping[int, tuple[AxleFlow, AxleFlow]]:
+    """Return the axles whose curve terms change along a recording, without and with the terms."""
     old, new = (series.flow(extended_model(vehicle, some)) for some in ((), terms))
     axles = {1: (old.front, new.front), 2: (old.rear, new.rear)}
-    pairs = {k: (replace(before, slip_angle=after.slip_angle), after) for k, (before, after) in axles.items()}
-    return {k: _ratio(*pair) for k, pair in pairs.items() if not same_curve(*pair)}
+    return {
+        k: (before, after)
+        for k, (before, after) in axles.items()
+        if np.any(after.D != before.D) or np.any(after.B != before.B)
+    }
 
 
 @dataclass(frozen=True)
@@ -109,7 +121,7 @@ def at_other_tires(rates: np.ndarray, axles: AxleBalance, ratios: Ratios) -> np.
     axles : AxleBalance
     ratios : mapping of int to float or ndarray of shape (N,)
         Factors of the forces in front (1) and behind (2): `Similarity.peak` where the rates were evaluated at the slips
-        that it names, else `tire_ratios`.
+        that it has, else `tire_ratios`.
 
     Notes
     -----
@@ -143,14 +155,19 @@ def at_scaled_slips(rates_at: Callable[[float], np.ndarray], slips: Ratios, axle
     """
     if not slips:
         return rates_at(1.0)
-    forces = axles.of_rates(rates_at(1.0))
+
+    @cache
+    def forces_at(step: float) -> np.ndarray:
+        return axles.of_rates(rates_at(float(np.exp(_SLIP_STEP * step))))
+
+    forces = forces_at(0.0).copy()
     for k, slip in slips.items():
         steps = np.clip(np.log(slip), -_MOST_SCALED, _MOST_SCALED) / _SLIP_STEP * np.ones(len(forces))
         below = np.floor(steps)
         share, force = steps - below, np.zeros(len(forces))
         for step in np.unique([below, np.ceil(steps)]):
             weight = np.where(below == step, 1.0 - share, np.where(below + 1.0 == step, share, 0.0))
-            force += weight * axles.of_rates(rates_at(float(np.exp(_SLIP_STEP * step))))[:, k]
+            force += weight * forces_at(float(step))[:, k]
         forces[:, k] = force
     return axles.to_rates(forces)
 
@@ -179,7 +196,7 @@ def with_terms_on_forces(rates: np.ndarray, axles: AxleBalance, flow: Flow, term
 
 
 def _ratio(old: AxleFlow, new: AxleFlow) -> np.ndarray:
-    """Return the ratio of the new to the old curve's force at the slip angles of both, shape (N,) [1]."""
+    """Return the ratio of the new to the old curve's force at the new slip angles, shape (N,) [1]."""
     slip = np.where(new.slip_angle == 0.0, 1e-9, new.slip_angle)  # at zero slip: the ratio of stiffnesses
     before, after = (lateral_force(one.B, one.C, one.D, slip, COMPILED) for one in (old, new))
     return after / before

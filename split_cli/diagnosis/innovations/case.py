@@ -154,18 +154,16 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     discrepancy, simulated = with_shared_terms(by_role["sim"])
     # Without a simulation nothing is shared. What the car has itself then says which states follow from earlier ones.
     predicting = (discrepancy if simulated else with_shared_terms(by_role["real"])[0]).shared_terms
-
-    def gathered(role: str, weights: np.ndarray | None) -> list[Evidence]:
-        asked = discrepancy, simulated, rules, weights, predicting
-        return map_in_threads(lambda one: _gathered(vehicle, one, *asked), by_role[role])
-
     weights = None
     if simulated:
         # What the simulation teaches is a part of the model that predicts states and is linearised.
         weights = learn_discrepancy(simulated, policy.comparison.variance_inflation, rules).weights
-        asked = {"discrepancy": discrepancy, "rules": rules, "weights": weights}
-        simulated = map_in_threads(partial(gather_evidence, vehicle, **asked), by_role["sim"])
-    real, holdout = (gathered(role, weights) for role in ("real", "holdout"))
+        again = partial(gather_evidence, vehicle, discrepancy=discrepancy, rules=rules, weights=weights)
+        simulated = map_in_threads(again, by_role["sim"])
+    asked = discrepancy, simulated, rules, weights, predicting
+    real, holdout = (
+        map_in_threads(lambda one: _gathered(vehicle, one, *asked), by_role[role]) for role in ("real", "holdout")
+    )
     rewhitened, posterior = _learned(simulated, real, discrepancy, policy) if simulated else ((), None)
     theirs = [one for series in by_role["sim"] for one in build_witnesses(series, rules=rules)]
     usual_by_kind = usual_weights_by_kind(theirs)

@@ -305,11 +305,10 @@ class MarginalLikelihood:
             similar = self.discrepancy.similarity(one.series, others)
             there = at_scaled_slips(
                 lambda scale: self._rates_at_axles(one, others, scale),
-                {k: axle.slip for k, axle in similar.items()},
+                similar.slip,
                 AxleBalance(moved_axles(self.discrepancy.vehicle, others), one.series.steer_angle),
             )
-            peaks = {k: axle.peak for k, axle in similar.items()}
-            return self.discrepancy.at_another_car(there, one.series, others, peaks) - self._rates(one, ())
+            return self.discrepancy.at_another_car(there, one.series, others, similar.peak) - self._rates(one, ())
 
         return self._remembered(("discrepancy change", id(one)), others, change)
 
