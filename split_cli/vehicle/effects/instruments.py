@@ -30,7 +30,7 @@ _GYRO = "judgement: three degrees a second, beyond any gyroscope that was switch
 # Yaw rate that a gyroscope may read at rest [rad/s]: judgement, a degree a second, where nobody set it to zero.
 _COLD = 0.0175
 _WORN = "judgement: wheels wear and gyroscopes age by a few per cent, 15 % is another unit"
-_UNALIGNED = "judgement: filters, buses and clocks that nobody aligned make a channel late by up to 0.6 s"
+_UNALIGNED = "judgement: filters, buses and clocks that nobody aligned make a channel late by up to a second"
 _WORDS = {
     "r": "the yaw rate",
     "vx": "the longitudinal velocity",
@@ -336,7 +336,7 @@ class ChannelDelay(_Instrument):
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts [s]: clocks do not run faster in smaller cars."""
         names = cls.parameter_units(variant)
-        limits = Range(0.0, 0.6, 0.001, _UNALIGNED, tolerance=_LEANS_LATE if variant in ("ax", "ay") else 0.0)
+        limits = Range(0.0, 1.0, 0.001, _UNALIGNED, tolerance=_LEANS_LATE if variant in ("ax", "ay") else 0.0)
         starts = tuple(dict.fromkeys(names, value) for value in DELAYS)
         return Search(dict.fromkeys(names, limits), starts)
 

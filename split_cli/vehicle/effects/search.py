@@ -96,13 +96,13 @@ class Course:
 # A delay whose start is ten times too large or small lowers the cost no more, so starts stand close.
 _LATE = (
     "judgement: by-wire actuators and their networks are late by up to 0.3 s, clocks of a log that nobody aligned "
-    "by up to twice that, in a small car as in a large one"
+    "by up to a second, in a small car as in a large one"
 )
 _SLOW = "judgement: a turbo-charged engine builds up torque in up to a second, nothing in a car is slower"
 #: Delays at which fits of a delay begin [s], spaced about evenly in ratio. Minima between them are found by
 #: `split_cli.diagnosis.search.delay_minima`.
-DELAYS = (0.004, 0.015, 0.045, 0.08, 0.13, 0.22, 0.38)
-DELAY_SEARCH = Search({"delay": Range(0.0, 0.6, 0.001, _LATE)}, tuple({"delay": value} for value in (0.001, *DELAYS)))
+DELAYS = (0.004, 0.015, 0.045, 0.08, 0.13, 0.22, 0.38, 0.65)
+DELAY_SEARCH = Search({"delay": Range(0.0, 1.0, 0.001, _LATE)}, tuple({"delay": value} for value in (0.001, *DELAYS)))
 #: In units of `time_unit`: engines and servos of small cars are quicker.
 LAG_SEARCH = Search(
     {"tau": Range(0.0, 1.0, 0.001, _SLOW)}, tuple({"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16))
