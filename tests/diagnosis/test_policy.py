@@ -135,7 +135,7 @@ BESIDE_THEIR_ALGORITHM = {
     "search/fitting.py": {"RIDGE", "_ITERATIONS", "_JOINT_ITERATIONS", "_LEAST_GAIN", "_PLACES", "_MOST_UPDATE_ERROR"},
     "search/joint.py": {"_NEAR_NEUTRAL", "_NO_EFFECT", "_TRIED"},
     "search/parts_of_drive.py": {"_MOST_BLOCKS"},
-    "search/delay_minima.py": {"_POINTS"},
+    "search/delay_minima.py": {"_APART"},
     "search/variant_choice.py": {"_TINY"},
     # Memory: what is not held is worked out anew, see test_exploration.py.
     "search/exploration.py": {"Explorer.held"},

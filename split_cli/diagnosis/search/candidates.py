@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import CATALOGUE, Term
@@ -26,6 +26,8 @@ class Candidate:
     starts: tuple[Mapping[str, float], ...]  # several if the cost has several minima
     located: str = ""  # ``patch``, ``stretch`` or ``wave`` if a place along the track is scanned for, else empty
     complexity: float = 1.0  # number of parameters that the price counts; a place counts more than a scale
+    # By parameter, the distance from no effect up to which the equations of motion alone have to show a fault.
+    by_acceleration: Mapping[str, float] = field(default_factory=dict)
 
     def build(self, values: Mapping[str, float]) -> Term:
         """Return the term with values clipped to their ranges."""
@@ -68,18 +70,35 @@ class Candidate:
 
         return any(ends(name, limit) for name, limit in self.ranges.items() if neutral.get(name) is not None)
 
-    def is_within_tolerance(self, values: Mapping[str, float]) -> bool:
-        """Return whether all values are within the tolerance of sound sensors; most ranges have none."""
-        return all(away < self.ranges[name].tolerance for name, away in self.away(values).items())
+    def is_within_tolerance(self, values: Mapping[str, float], *, shown_by_motion: bool = False) -> bool:
+        """Return whether all values are within the tolerances of sound sensors; most terms have none.
+
+        Parameters
+        ----------
+        shown_by_motion : bool
+            Whether the equations of motion alone show the values: what an acceleration may show does not count then.
+        """
+        limits = {name: one.tolerance for name, one in self.ranges.items()} if shown_by_motion else self.tolerances
+        return all(away < limits[name] for name, away in self.away(values).items())
+
+    @property
+    def tolerances(self) -> dict[str, float]:
+        """Distance from no effect by parameter up to which a fault is within tolerance, in its unit."""
+        return {name: max(one.tolerance, self.by_acceleration.get(name, 0.0)) for name, one in self.ranges.items()}
 
     def away(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the distances of values from neutral; parameters without a neutral value are left out."""
         neutral = CATALOGUE[self.term].neutral
         return {name: abs(values[name] - neutral[name]) for name in self.ranges if neutral.get(name) is not None}
 
-    def without_position(self) -> Candidate:
-        """Return the candidate with the larger tolerances of recordings without position."""
-        return self.with_tolerances({name: limit.tolerance_without_position for name, limit in self.ranges.items()})
+    def without_position(self, *, beside_simulation: bool) -> Candidate:
+        """Return the candidate with the larger tolerances of recordings without position.
+
+        Without a simulation the equations of motion have model-form error, and show no fault of a sensor alone.
+        """
+        lacking = self.with_tolerances({name: one.tolerance_without_position for name, one in self.ranges.items()})
+        felt = {name: one.tolerance_by_acceleration for name, one in self.ranges.items()}
+        return replace(lacking, by_acceleration=felt) if beside_simulation else lacking.with_tolerances(felt)
 
     def with_tolerances(self, tolerances: Mapping[str, float]) -> Candidate:
         """Return the candidate with at least these tolerances, by parameter, see `Range`."""

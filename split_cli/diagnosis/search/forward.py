@@ -16,6 +16,7 @@ from split_cli.diagnosis.search.term_tests import (
     exceeds_simulation_scatter,
     is_form_error,
     is_spread,
+    is_tolerated,
     is_witnessed,
     over_form_error,
     part_sizes,
@@ -157,7 +158,9 @@ def _significance(explore: Explorer, chosen: Fit, further: Fit) -> tuple[float, 
     witnessed = witnessed_p(objective, further, last, chosen, rules)
     p_value = min(term_p(objective, further, last, saved, explore.variance_inflation), witnessed)
     p_value *= len(explore.candidates)
-    small = p_value >= rules.level or part.is_within_tolerance
+    level = rules.level / len(explore.candidates)
+    small = p_value >= rules.level
+    small |= is_tolerated(objective, further, last, chosen, explore.variance_inflation, level)
     small |= witnessed > p_value and not exceeds_simulation_scatter(objective, part.candidate, saved)
     spread = witnessed <= p_value or is_spread(objective, further, last, chosen, rules)
     return p_value, small, spread

@@ -107,7 +107,7 @@ def identifiable(
     - Scales of speed and yaw rate against a_y need the simulation, since the roll of the body is part of a_y.
     - A lag can be longer than the simulation's only with a simulation.
 
-    Without measured position, sensor faults get larger tolerances.
+    Without measured position, sensor faults get larger tolerances, see `Candidate.without_position`.
     """
     lacking = set() if simulated else {"simulation"}
     drives = [one.drive for one in real]
@@ -135,4 +135,6 @@ def identifiable(
     if not _leaves_linear_range(real, vehicle, policy):
         lacking.add("hard turns")
     allowed = [one for one in candidates if not lacking & one.needs]
-    return [one.without_position() for one in allowed] if "measured position" in lacking else allowed
+    if "measured position" in lacking:
+        return [one.without_position(beside_simulation=bool(simulated)) for one in allowed]
+    return allowed

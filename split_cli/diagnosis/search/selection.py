@@ -41,6 +41,7 @@ from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
     exceeds_simulation_scatter,
     is_spread,
+    is_tolerated,
     is_witnessed,
     part_over_allowance,
     part_sizes,
@@ -341,7 +342,7 @@ def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
             or witnessed_p(objective, chosen, k, one, rules) < level
         )
         and not chosen.parts[k].candidate.at_limit(chosen.parts[k].values)
-        and not chosen.parts[k].is_within_tolerance
+        and not is_tolerated(objective, chosen, k, one, explore.variance_inflation, level)
         and not contradicts_yaw(objective, chosen, k)
         for k, one in enumerate(without)
     ]

@@ -169,6 +169,31 @@ def contradicts_yaw(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
     return False
 
 
+def is_tolerated(
+    objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, variance_inflation: float, level: float
+) -> bool:
+    """Return whether part k is a sensor fault within tolerance.
+
+    Without position, lateral acceleration is the witness of a scaled speed or a biased yaw rate. It also feels the roll
+    of the body and the bank of the road. So what it may show of a sound recording is tolerated, unless the saving in
+    the equations of motion passes the test of a name by itself.
+
+    Parameters
+    ----------
+    without : Fit
+        The others, refitted without the part.
+    level : float
+        p value of a name.
+    """
+    part = fit.parts[k]
+    if not part.is_within_tolerance or not any(part.candidate.by_acceleration.values()):
+        return part.is_within_tolerance
+    motion = len(fit.residuals) - len(objective.of_witnesses(fit.residuals))
+    saved = float(np.sum(without.residuals[:motion] ** 2) - np.sum(fit.residuals[:motion] ** 2))
+    shown = term_p(objective, fit, k, saved, variance_inflation) < level
+    return part.candidate.is_within_tolerance(part.values, shown_by_motion=shown)
+
+
 def exceeds_simulation_scatter(objective: MarginalLikelihood, candidate: Candidate, saved: float) -> bool:
     """Return whether a term's saving exceeds that between halves of the simulation by 1.96 squared.
 

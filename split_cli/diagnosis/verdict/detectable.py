@@ -199,9 +199,7 @@ def _smallest(
         values, tolerated = candidate.moved(start, factor), False
         if candidate.is_within_tolerance(values):
             # It would be seen at this size, but is within tolerance: the limit is the tolerance.
-            factor *= min(
-                candidate.ranges[name].tolerance / away for name, away in candidate.away(values).items() if away
-            )
+            factor *= min(candidate.tolerances[name] / away for name, away in candidate.away(values).items() if away)
             values, tolerated = candidate.moved(start, factor), True
         if not candidate.allows(values):
             break

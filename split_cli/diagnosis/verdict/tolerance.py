@@ -45,13 +45,14 @@ def tolerance_leads(
     for k, (part, without) in enumerate(zip(fit.parts, selection.without, strict=True)):
         saved = without.cost - fit.cost
         if (
-            not part.is_within_tolerance
+            selection.named[k]
+            or not part.is_within_tolerance
             or term_p(objective, fit, k, saved, variance_inflation) >= policy.selection.level
         ):
             continue
         if term_size(objective, fit, k) > policy.allowances.large:
             own, estimates = part.candidate, parameter_estimates(objective, fit)[k]
-            limits = {name: own.ranges[name].tolerance for name in own.away(part.values)}
+            limits = {name: own.tolerances[name] for name in own.away(part.values)}
             if not is_worth_a_word(estimates, limits, own.term, taken_off=taken_off):
                 continue
             sentence = tolerance_sentence(own.term, own.variant, estimates, limits, taken_off=taken_off)

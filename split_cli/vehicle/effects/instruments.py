@@ -202,7 +202,7 @@ class YawRateBias(_Instrument):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        return Search({"r": Range(-0.05, 0.05, 1e-4, _GYRO, tolerance_without_position=_COLD)}, ({"r": 0.001},))
+        return Search({"r": Range(-0.05, 0.05, 1e-4, _GYRO, tolerance_by_acceleration=_COLD)}, ({"r": 0.001},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -227,7 +227,7 @@ class _Scale(_Instrument):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        return Search({"scale": Range(0.85, 1.15, 0.001, _WORN, tolerance_without_position=_ROLLS)}, ({"scale": 0.99},))
+        return Search({"scale": Range(0.85, 1.15, 0.001, _WORN, tolerance_by_acceleration=_ROLLS)}, ({"scale": 0.99},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:

@@ -45,6 +45,9 @@ class Range:
     tolerance: float = 0.0
     # The same where no position was recorded: only position tells a fault of the sensor from one of the car.
     tolerance_without_position: float = 0.0
+    # Distance from no effect that lateral acceleration, the witness without position, may show of any sound recording.
+    # A smaller fault has to be shown by the equations of motion alone; in the parameter's unit.
+    tolerance_by_acceleration: float = 0.0
 
     def times(self, size: float) -> Range:
         """Return the range times `size`: from units of `Term.sizes` to those of the vehicle file."""
