@@ -151,7 +151,9 @@ def test_what_a_sound_gyroscope_reads_at_rest_acts_in_no_part():
     series = prepared(replace(drive, columns=columns))
     objective = bare_objective(light_evidence(series))
     explore = explorer(objective, "yaw_rate_bias", "road_bank")
-    (bias,) = (one.without_position() for one in explore.candidates if one.term == "yaw_rate_bias")
+    (bias,) = (
+        one.without_position(beside_simulation=False) for one in explore.candidates if one.term == "yaw_rate_bias"
+    )
     base = nothing(objective)
     chosen = fit_parts(objective, (Part(bias, {"r": 0.01}),))
     asked = partial(strongest_beside_tolerated, objective, explore.tangents, INFLATION, base)
