@@ -103,6 +103,21 @@ def test_sensor_faults_have_no_model_form_error(behind):
     assert marginal_cost(behind, turned, INFLATION) == turned.cost / INFLATION
 
 
+def test_what_a_sensor_fault_does_is_no_error_that_hides_a_further_term(behind, delay):
+    """A twentieth of what the sensor's place does counts in full, beside a delay; of the delay's effect it does not."""
+    part = Part(candidates_of(behind, "sensor_lever_arm")[0], {"dx": 0.5})
+    rows = behind.whiten(behind.raw_residual((*delay.terms, part.term)))
+    both = Fit((*delay.parts, part), float(rows @ rows), rows, np.empty((len(rows), 0)))
+    noise = np.random.default_rng(6).standard_normal(len(rows))
+    calm = replace(both, residuals=noise, cost=float(noise @ noise))
+    saved, plain = [], []
+    for k in (0, 1):
+        wrong = moved(calm, 0.05 * behind.whiten(module._varied(behind, both.terms, k))[:, 17])
+        saved.append(saved_beside_form_error(behind, wrong, calm))
+        plain.append(wrong.cost - calm.cost)
+    assert min(plain) > 20.0 and saved[0] < 0.1 * plain[0] and saved[1] > 0.7 * plain[1]
+
+
 def test_the_first_column_of_a_channel_is_the_effect_itself(behind, delay):
     varied = module._varied(behind, delay.terms, 0)
     effect = behind.residual(()) - behind.residual(delay.terms)
@@ -368,8 +383,8 @@ def test_how_tyres_carry_another_load_is_free_between_the_laws(behind, heavier, 
 def test_what_an_explanation_may_get_wrong_is_worked_out_once(behind, delay, heavier, monkeypatch):
     """However many further terms are asked beside it; anew for another one, or with a fixed baseline."""
     afters = [moved(heavier, 0.1 * rows) for rows in np.random.default_rng(3).standard_normal((3, len(behind.block)))]
-    calls, made = [], module.form_error_columns
-    monkeypatch.setattr(module, "form_error_columns", lambda *asked: calls.append(asked) or made(*asked))
+    calls, made = [], module._columns
+    monkeypatch.setattr(module, "_columns", lambda *asked: calls.append(asked) or made(*asked))
     several = [saved_beside_form_error(behind, heavier, after) for after in afters]
     assert len(calls) == 1
     module.forget_form_error(behind)

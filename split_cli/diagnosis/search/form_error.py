@@ -54,7 +54,7 @@ def _form_error_of(objective: MarginalLikelihood, fit: Fit) -> _FormError:
         forget_form_error(objective)  # first, since both may be large
         laws = _other_load_laws(objective, fit)
         shared = _columns_of_discrepancy(objective, fit.terms)
-        columns = form_error_columns(objective, fit) if laws.shape[1] or shared.shape[1] else shared
+        columns = _columns(objective, _of_the_car(fit)) if laws.shape[1] or shared.shape[1] else shared
         own = columns.shape[1]
         if shared.shape[1]:
             columns = np.hstack([columns, shared])
@@ -99,9 +99,13 @@ def marginal_cost(objective: MarginalLikelihood, fit: Fit, variance_inflation: f
     is e^T (I + M M^T)^-1 e / v + ln det(I + M M^T), where the determinant is that of I + M^T M (Rasmussen and Williams,
     2006, equation 2.30).
     """
-    parts = [(fit.terms, k) for k, term in enumerate(fit.terms) if term.exported]
-    (cost,), price = _costs_beside(objective, parts, [fit.residuals])
+    (cost,), price = _costs_beside(objective, _of_the_car(fit), [fit.residuals])
     return cost / variance_inflation + price
+
+
+def _of_the_car(fit: Fit) -> list[tuple[tuple[Term, ...], int]]:
+    """Return the terms of a fit and the number of each that is no sensor fault: these have model-form error."""
+    return [(fit.terms, k) for k, term in enumerate(fit.terms) if term.exported]
 
 
 def _costs_beside(
@@ -169,8 +173,8 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
     error too. A load law between the variants of a term is allowed as well. What a further term saves beyond is
     evidence for it.
 
-    If the other explanation has sensor faults alone, all that a term of the car saves is evidence: after the sensors
-    are corrected, the model has its usual error.
+    Sensor faults have no such error. If the other explanation has them alone, all that a term of the car saves is
+    evidence: after the sensors are corrected, the model has its usual error.
 
     Parameters
     ----------
@@ -195,8 +199,7 @@ def costs_of_rows(
     wrong = _form_error_of(objective, before)
     laws = wrong.laws
     if not wrong.columns.shape[1]:
-        parts = [(before.terms, k) for k in range(len(before.parts))]
-        return _costs_beside(objective, parts, rows)[0]
+        return _costs_beside(objective, _of_the_car(before), rows)[0]
     count = wrong.columns.shape[1] if shared else wrong.own
     columns, normal = wrong.columns[:, :count], wrong.normal[:count, :count]
     costs = _costs(columns, normal, rows)
@@ -335,16 +338,13 @@ def _normal(form_error: np.ndarray) -> np.ndarray:
     return np.eye(form_error.shape[1]) + form_error.T @ form_error
 
 
-def form_error_columns(objective: MarginalLikelihood, fit: Fit, *, together: bool = True) -> np.ndarray:
-    """Return M of an explanation's parts, shape (R, 18 a part), see `costs_beside_form_error`.
-
-    `together` as of `free_to_form_error`.
-    """
-    return _columns(objective, [(fit.terms, k) for k in range(len(fit.parts))], together=together)
+def form_error_columns(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
+    """Return M of an explanation's parts, shape (R, 18 a part), see `costs_beside_form_error`."""
+    return _columns(objective, [(fit.terms, k) for k in range(len(fit.parts))])
 
 
 def free_to_form_error(objective: MarginalLikelihood, fit: Fit, *, together: bool = True) -> np.ndarray:
-    """Return N, shape (R, 18 a part), with N N^T = I - (I + M M^T)^-1, see `costs_beside_form_error`.
+    """Return N, (R, 18 a part of the car), with N N^T = I - (I + M M^T)^-1, see `costs_beside_form_error`.
 
     Parameters
     ----------
@@ -352,7 +352,7 @@ def free_to_form_error(objective: MarginalLikelihood, fit: Fit, *, together: boo
         Whether terms that scale the tyres' curves have one common error of their joint effect. Otherwise each has an
         error of its own, to compare them with each other.
     """
-    form_error = form_error_columns(objective, fit, together=together)
+    form_error = _columns(objective, _of_the_car(fit), together=together)
     lower = np.linalg.cholesky(_normal(form_error))
     return solve_triangular(lower, form_error.T, lower=True, overwrite_b=True).T
 
