@@ -10,7 +10,11 @@ from split_cli.vehicle.parameters import Vehicle
 
 @dataclass
 class AxleFlow:
-    """One axle while the derivative is evaluated: B [1/rad], C [1], D [N], slip angle [rad], forces [N]."""
+    """One axle while the derivative is evaluated: B [1/rad], C [1], D [N], slip angle [rad], forces [N].
+
+    `static_load` and `moved_load` [1] are shares of the static load in the vehicle file: what the mass and its place
+    make of that load, and what accelerations and air add to it.
+    """
 
     B: Any
     C: Any
@@ -18,6 +22,8 @@ class AxleFlow:
     slip_angle: Any = 0.0
     longitudinal_force: Any = 0.0
     lateral_force: Any = 0.0
+    static_load: Any = 1.0
+    moved_load: Any = 0.0
 
 
 @dataclass

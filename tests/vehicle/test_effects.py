@@ -1,6 +1,7 @@
 """Every term of the catalogue against a formula written out again, its neutral point, and mirrored driving."""
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -175,6 +176,40 @@ def test_axle_terms_scale_what_they_name():
     across = front * np.sin(at["delta"])
     expected += np.stack([(rear + front * np.cos(at["delta"])) / 1500.0, across / 1500.0, A * across / 2600.0])
     check(at, expected, term("aero_downforce", front=0.8, rear=1.1))
+
+
+def test_loads_of_several_terms_add_up():
+    """What braking moves is a smaller share of a load that air adds to; in proportion, and by one power for all."""
+    at = driving()
+    at["delta"] = 0.0 * at["delta"]
+    f, free = forces(at), replace(CAR, rolling_resistance_front=0.0, rolling_resistance_rear=0.0)
+    moved = (f["fxf"] + f["fxr"] + 170.0 - 0.42 * at["vx"] ** 2) * 0.55 / 2.7
+    load_f, load_r = 1500.0 * G * B / 2.7, 1500.0 * G * A / 2.7
+    front = 1.2 + (0.8 * at["vx"] ** 2 - moved) / load_f
+    rear = 1.2 + (1.1 * at["vx"] ** 2 + moved) / load_r
+    several = (
+        ("mass", "loaded", {"scale": 1.2}),
+        ("aero_downforce", "", {"front": 0.8, "rear": 1.1}),
+        ("load_transfer", "", {"cg_height": 0.55}),
+    )
+    for order in permutations(several):
+        found = rates(at, *(term(name, variant, **values) for name, variant, values in order), car=free)
+        across = (front * f["fyf"] + rear * f["fyr"]) / 1800.0 - at["vx"] * at["r"]
+        turning = (A * front * f["fyf"] - B * rear * f["fyr"]) / 2600.0
+        np.testing.assert_allclose(found[1:], np.stack([across, turning]), rtol=1e-9, atol=1e-9)
+    two = (
+        term("aero_downforce", "degressive", front=0.8, rear=1.1),
+        term("load_transfer", "degressive", cg_height=0.55),
+    )
+    found = rates(at, *two, car=free)
+    axles = [
+        D * load**0.9 * np.sin(1.45 * np.arctan(B_ * load**-0.4 * alpha))
+        for D, B_, load, alpha in (
+            (7900.0, 11.0, front - 0.2, f["alpha_f"]),
+            (6800.0, 12.5, rear - 0.2, f["alpha_r"]),
+        )
+    ]
+    np.testing.assert_allclose(found[2], (A * axles[0] - B * axles[1]) / 2600.0, rtol=1e-9, atol=1e-9)
 
 
 def test_a_higher_centre_of_gravity_takes_force_in_turns_as_well():

@@ -12,6 +12,7 @@ from split_cli.vehicle.effects.search import Course, Range, Search, cg_height, s
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, number, percent, scaled
 from split_cli.vehicle.flow import AxleFlow, Flow
+from split_cli.vehicle.operations import Operations
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import LEAST_CAPACITY, lateral_force, share_beside_longitudinal
 
@@ -58,7 +59,24 @@ def _curve(variant: str) -> str:
 
 
 def scale_load(axle: AxleFlow, ratio: Any, variant: str) -> None:
-    """Let an axle's curve follow its load, which is `ratio` of the nominal.
+    """Let an axle's curve follow its static load, which becomes `ratio` of what it was, see `_follow_load`."""
+    before = axle.static_load + axle.moved_load
+    axle.static_load = axle.static_load * ratio
+    _follow_load(axle, (axle.static_load + axle.moved_load) / before, variant)
+
+
+def add_load(axle: AxleFlow, share: Any, variant: str, ops: Operations) -> None:
+    """Let an axle's curve follow a load that is added to it, a share of the static load in the vehicle file.
+
+    Loads of several terms add up: what braking moves to an axle is a smaller part of its load where air presses on it.
+    """
+    before = axle.static_load + axle.moved_load
+    axle.moved_load = ops.maximum(axle.moved_load + share, LEAST_CAPACITY - axle.static_load)
+    _follow_load(axle, (axle.static_load + axle.moved_load) / before, variant)
+
+
+def _follow_load(axle: AxleFlow, ratio: Any, variant: str) -> None:
+    """Let an axle's curve follow its load, which is `ratio` of that before.
 
     Peak and stiffness in proportion by default, degressively (peak by the power 0.9, stiffness by 0.5, as tyres
     near their rated load do: Pacejka, 2012, section 4.3) for ``degressive``, the peak alone for ``peak``.
@@ -372,7 +390,7 @@ class LoadTransfer(Term):
             moved = self.first_order(flow, "moved", moved, self.rate)
         lost = self._moved_across(flow, side) if self.variant == "higher" else None
         for axle, change in ((front, -moved / car.static_load_front), (rear, moved / car.static_load_rear)):
-            scale_load(axle, ops.maximum(1.0 + change, LEAST_CAPACITY), self._law)
+            add_load(axle, change, self._law, ops)
             if lost is not None:
                 peak = ops.maximum(1.0 - _PEAK_OF_UNEQUAL_LOADS * lost, _LEAST_OF_UNEQUAL_LOADS)
                 slope = ops.maximum(1.0 - _SLOPE_OF_UNEQUAL_LOADS * lost, _LEAST_OF_UNEQUAL_LOADS)
@@ -442,6 +460,6 @@ class AeroDownforce(Term):
             (flow.front, "front", car.static_load_front, car.rolling_resistance_front),
             (flow.rear, "rear", car.static_load_rear, car.rolling_resistance_rear),
         ):
-            gain = flow.ops.maximum(1.0 + self.parameters[name] * speed2 / load, LEAST_CAPACITY)
-            scale_load(axle, gain, self.variant)
-            axle.longitudinal_force = axle.longitudinal_force - (gain - 1.0) * resistance
+            share = flow.ops.maximum(self.parameters[name] * speed2 / load, LEAST_CAPACITY - 1.0)
+            add_load(axle, share, self.variant, flow.ops)
+            axle.longitudinal_force = axle.longitudinal_force - share * resistance
