@@ -204,12 +204,22 @@ def test_loads_of_several_terms_add_up():
     found = rates(at, *two, car=free)
     axles = [
         D * load**0.9 * np.sin(1.45 * np.arctan(B_ * load**-0.4 * alpha))
-        for D, B_, load, alpha in (
-            (7900.0, 11.0, front - 0.2, f["alpha_f"]),
-            (6800.0, 12.5, rear - 0.2, f["alpha_r"]),
-        )
+        for D, B_, load, alpha in ((7900.0, 11.0, front - 0.2, f["alpha_f"]), (6800.0, 12.5, rear - 0.2, f["alpha_r"]))
     ]
     np.testing.assert_allclose(found[2], (A * axles[0] - B * axles[1]) / 2600.0, rtol=1e-9, atol=1e-9)
+
+
+def test_no_sum_of_loads_lifts_an_axle():
+    """A light, nose-heavy car that brakes hard keeps next to nothing on its rear axle, in any order of the terms."""
+    at = {**driving(), "T": -4.0 * np.abs(driving()["T"])}
+    several = [
+        term("load_transfer", "degressive", cg_height=1.3),
+        term("mass", "degressive", scale=0.6),
+        term("cg_shift", "degressive", dx=0.9),
+        term("aero_downforce", "degressive", front=-0.5, rear=-1.0),
+    ]
+    for order in permutations(several):
+        assert np.isfinite(rates(at, *order)).all()
 
 
 def test_a_higher_centre_of_gravity_takes_force_in_turns_as_well():

@@ -102,7 +102,7 @@ class Mass(Term):
             return
         scale, car = self.parameters["scale"], flow.vehicle
         for axle, resistance in ((flow.front, car.rolling_resistance_front), (flow.rear, car.rolling_resistance_rear)):
-            scale_load(axle, scale, self.variant)
+            scale_load(axle, scale, self.variant, flow.ops)
             axle.longitudinal_force = axle.longitudinal_force - (scale - 1.0) * resistance
 
 
@@ -229,5 +229,5 @@ class CgShift(Term):
         """Let the axles follow the static loads where the variant says so."""
         if self.variant:
             car, dx = flow.vehicle, self.parameters["dx"]
-            scale_load(flow.front, 1.0 + dx / car.cg_to_rear_axle, self.variant)
-            scale_load(flow.rear, 1.0 - dx / car.cg_to_front_axle, self.variant)
+            scale_load(flow.front, 1.0 + dx / car.cg_to_rear_axle, self.variant, flow.ops)
+            scale_load(flow.rear, 1.0 - dx / car.cg_to_front_axle, self.variant, flow.ops)

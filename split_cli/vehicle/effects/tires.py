@@ -58,11 +58,11 @@ def _curve(variant: str) -> str:
     return "the tyres' whole curve" if variant == "curve" else "grip"
 
 
-def scale_load(axle: AxleFlow, ratio: Any, variant: str) -> None:
+def scale_load(axle: AxleFlow, ratio: Any, variant: str, ops: Operations) -> None:
     """Let an axle's curve follow its static load, which becomes `ratio` of what it was, see `_follow_load`."""
-    before = axle.static_load + axle.moved_load
+    before = _load(axle, ops)
     axle.static_load = axle.static_load * ratio
-    _follow_load(axle, (axle.static_load + axle.moved_load) / before, variant)
+    _follow_load(axle, _load(axle, ops) / before, variant)
 
 
 def add_load(axle: AxleFlow, share: Any, variant: str, ops: Operations) -> None:
@@ -70,9 +70,14 @@ def add_load(axle: AxleFlow, share: Any, variant: str, ops: Operations) -> None:
 
     Loads of several terms add up: what braking moves to an axle is a smaller part of its load where air presses on it.
     """
-    before = axle.static_load + axle.moved_load
-    axle.moved_load = ops.maximum(axle.moved_load + share, LEAST_CAPACITY - axle.static_load)
-    _follow_load(axle, (axle.static_load + axle.moved_load) / before, variant)
+    before = _load(axle, ops)
+    axle.moved_load = axle.moved_load + share
+    _follow_load(axle, _load(axle, ops) / before, variant)
+
+
+def _load(axle: AxleFlow, ops: Operations) -> Any:
+    """Return the load of an axle as a share of the static load in the vehicle file [1]; no axle lifts off."""
+    return ops.maximum(axle.static_load + axle.moved_load, LEAST_CAPACITY)
 
 
 def _follow_load(axle: AxleFlow, ratio: Any, variant: str) -> None:
