@@ -84,7 +84,7 @@ def test_products_summed_over_stretches_are_those_of_whole_columns(behind, delay
     open_to = np.linalg.qr(np.random.default_rng(2).standard_normal((len(behind.weight), 3)))[0] * np.sqrt(seen)
     taught = replace(behind, basis=open_to, root=1.0 / (1.0 + np.sqrt(1.0 - seen)))
     parts, residuals = [(delay.terms, 0), (lag.terms, 0)], np.stack([delay.residuals, lag.residuals], axis=1)
-    whole = module._columns(taught, parts)
+    whole = module.columns_of_parts(taught, parts)
     assert len(taught.evidence[0].at) > 2 * module._ROWS_AT_A_TIME
     told = module._products(taught, parts, residuals)
     for here, there in zip(told, (whole.T @ whole, whole.T @ residuals), strict=True):
@@ -131,7 +131,7 @@ def test_a_differential_whose_constants_are_assumed_may_be_wrong_by_more(behind,
     parts = [(terms, 0), (terms, 1)]
     shares = np.repeat([0.1, 0.25], 18)
     expected = shares * np.hstack([behind.whiten(module._varied(behind, terms, k)) for k in (0, 1)])
-    assert module._columns(behind, parts) == pytest.approx(expected, rel=1e-12)
+    assert module.columns_of_parts(behind, parts) == pytest.approx(expected, rel=1e-12)
     products, _ = module._products(behind, parts, delay.residuals[:, None])
     assert products == pytest.approx(expected.T @ expected, rel=1e-9, abs=1e-9 * np.abs(products).max())
     alone = sizes_in_velocity(behind, (stiff,), ())
@@ -383,8 +383,8 @@ def test_how_tyres_carry_another_load_is_free_between_the_laws(behind, heavier, 
 def test_what_an_explanation_may_get_wrong_is_worked_out_once(behind, delay, heavier, monkeypatch):
     """However many further terms are asked beside it; anew for another one, or with a fixed baseline."""
     afters = [moved(heavier, 0.1 * rows) for rows in np.random.default_rng(3).standard_normal((3, len(behind.block)))]
-    calls, made = [], module._columns
-    monkeypatch.setattr(module, "_columns", lambda *asked: calls.append(asked) or made(*asked))
+    calls, made = [], module.columns_of_parts
+    monkeypatch.setattr(module, "columns_of_parts", lambda *asked: calls.append(asked) or made(*asked))
     several = [saved_beside_form_error(behind, heavier, after) for after in afters]
     assert len(calls) == 1
     module.forget_form_error(behind)

@@ -54,7 +54,7 @@ def _form_error_of(objective: MarginalLikelihood, fit: Fit) -> _FormError:
         forget_form_error(objective)  # first, since both may be large
         laws = _other_load_laws(objective, fit)
         shared = _columns_of_discrepancy(objective, fit.terms)
-        columns = _columns(objective, _of_the_car(fit)) if laws.shape[1] or shared.shape[1] else shared
+        columns = columns_of_parts(objective, _of_the_car(fit)) if laws.shape[1] or shared.shape[1] else shared
         own = columns.shape[1]
         if shared.shape[1]:
             columns = np.hstack([columns, shared])
@@ -133,7 +133,7 @@ def _products(
     Parameters
     ----------
     parts : sequence
-        As for `_columns`, which would return M, shape (R, Q).
+        As for `columns_of_parts`, which would return M, shape (R, Q).
 
     Notes
     -----
@@ -340,7 +340,7 @@ def _normal(form_error: np.ndarray) -> np.ndarray:
 
 def form_error_columns(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     """Return M of an explanation's parts, shape (R, 18 a part), see `costs_beside_form_error`."""
-    return _columns(objective, [(fit.terms, k) for k in range(len(fit.parts))])
+    return columns_of_parts(objective, [(fit.terms, k) for k in range(len(fit.parts))])
 
 
 def free_to_form_error(objective: MarginalLikelihood, fit: Fit, *, together: bool = True) -> np.ndarray:
@@ -352,7 +352,7 @@ def free_to_form_error(objective: MarginalLikelihood, fit: Fit, *, together: boo
         Whether terms that scale the tyres' curves have one common error of their joint effect. Otherwise each has an
         error of its own, to compare them with each other.
     """
-    form_error = _columns(objective, _of_the_car(fit), together=together)
+    form_error = columns_of_parts(objective, _of_the_car(fit), together=together)
     lower = np.linalg.cholesky(_normal(form_error))
     return solve_triangular(lower, form_error.T, lower=True, overwrite_b=True).T
 
@@ -370,7 +370,7 @@ def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     return columns[:, np.linalg.norm(columns, axis=0) > 0.0]
 
 
-def _columns(
+def columns_of_parts(
     objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], *, together: bool = True
 ) -> np.ndarray:
     """Return M, shape (R, 18 a part), of parts; each is given as a list of terms and a number in it."""
