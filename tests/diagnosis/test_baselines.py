@@ -21,7 +21,8 @@ from split_cli.diagnosis.search.baselines import (
 )
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
-from split_cli.diagnosis.search.selection import Rival, Selection
+from split_cli.diagnosis.search.rivals import Rival
+from split_cli.diagnosis.search.selection import Selection
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import INFLATION, case_of, explorer

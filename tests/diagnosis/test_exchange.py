@@ -19,7 +19,8 @@ from split_cli.diagnosis.search.exchange import (
 )
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.search.selection import Rival, Selection, _best_rival, nothing, select_terms
+from split_cli.diagnosis.search.rivals import Rival
+from split_cli.diagnosis.search.selection import Selection, _best_rival, nothing, select_terms
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.flow import Flow
 from tests.diagnosis.recordings import (

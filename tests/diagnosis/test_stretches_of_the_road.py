@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Part, fit_parts
-from split_cli.diagnosis.search.selection import nothing, rivals_of
+from split_cli.diagnosis.search.rivals import rivals_of
+from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import LAP, candidates_of, explorer, named, objective_with, selected
 

@@ -1,6 +1,6 @@
 """Forward search: terms are added one at a time while each passes its tests, and `refusal`, which are these tests."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,7 +59,7 @@ class ForwardResult:
 
 
 def search_forward(
-    explore: Explorer, base: Fit, first: Sequence[Fit] = (), begun: Fit | None = None, nuisances: int = 0
+    explore: Explorer, base: Fit, first: Sequence[Fit] = (), begun: Fit | None = None, nuisances: Collection[str] = ()
 ) -> ForwardResult:
     """Add terms while they pass their tests, beginning with the best of `first`, or with `begun`.
 
@@ -71,14 +71,18 @@ def search_forward(
         Fits of each term alone, best first; used without `begun`.
     begun : Fit, optional
         An explanation to continue from.
-    nuisances : int
-        Number of its parts that are nuisance terms.
+    nuisances : collection of str
+        Labels of its parts that are nuisance terms.
     """
     rules = explore.rules
     chosen, history, first_p, refused = base if begun is None else begun, [], 1.0, None
+    unnamed = frozenset(nuisances)
     # State before a term was kept tentatively that saves in a few moments only: fit, nuisances, length of history, and
     # that term's fit.
-    tentative: tuple[Fit, int, int, Fit] | None = None
+    tentative: tuple[Fit, frozenset[str], int, Fit] | None = None
+
+    def are_nuisances(fit: Fit) -> list[bool]:
+        return [part.candidate.label in unnamed for part in fit.parts]
 
     def price_saved(fit: Fit) -> float:
         return explore.price(chosen) - explore.price(fit)
@@ -92,7 +96,7 @@ def search_forward(
             break
         best = fits[0]
         # Beside nuisance terms alone, a term cannot be the model-form error of a named one.
-        if len(chosen.parts) > nuisances:
+        if not all(are_nuisances(chosen)):
             best, reason = _first_accepted(explore, chosen, fits[: rules.considered])
             if best is None:
                 beyond = that_save(explore.beyond_form_error(chosen))
@@ -107,11 +111,11 @@ def search_forward(
                 continue
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
-            if reason == _FEW_MOMENTS and nuisances < rules.most_nuisances:
+            if reason == _FEW_MOMENTS and sum(are_nuisances(chosen)) < rules.most_nuisances:
                 # A missing effect may disturb its saving block by block, so that it is tried as a nuisance term first.
-                tentative = tentative or (chosen, nuisances, len(history), fits[0])
+                tentative = tentative or (chosen, unnamed, len(history), fits[0])
                 history.append(f"{label} saves {saved:.0f}, {reason}")
-                chosen, nuisances = fits[0], nuisances + 1
+                chosen, unnamed = fits[0], unnamed | {label}
                 continue
             history.append(f"{label} would save {saved:.0f}, {reason}")
             refused = fits[0]
@@ -122,10 +126,11 @@ def search_forward(
         first_p = min(first_p, p_value if spread and not (small and p_value < rules.level) else 1.0)
         if small or not spread:
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _FEW_MOMENTS}")
-            nuisances += 1
+            unnamed |= {label}
             # Sensor errors within tolerance do not count towards the limit of nuisance terms.
-            counted = nuisances - sum(part.is_within_tolerance for part in best.parts)
-            if counted > rules.most_nuisances:
+            counted = (part for part, one in zip(best.parts, are_nuisances(best), strict=True) if one)
+            if sum(not part.is_within_tolerance for part in counted) > rules.most_nuisances:
+                unnamed -= {label}
                 break
             chosen = best
             continue
@@ -134,10 +139,10 @@ def search_forward(
         history += dropped
         tentative = None
     if tentative is not None:
-        chosen, nuisances, begun_at, refused = tentative
+        chosen, unnamed, begun_at, refused = tentative
         label, saved = refused.parts[-1].candidate.label, price_saved(refused)
         history[begun_at:] = [f"{label} would save {saved:.0f}, {_FEW_MOMENTS}"]
-    names = len(chosen.parts) - nuisances
+    names = are_nuisances(chosen).count(False)
     return ForwardResult(chosen, refused or chosen, names, tuple(history), first_p)
 
 

@@ -15,7 +15,8 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, without_parts
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.off_centre import confirmed_by_straights
-from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well
+from split_cli.diagnosis.search.rivals import Rival
+from split_cli.diagnosis.search.selection import Selection, explaining_as_well
 from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import Combination, Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import sentence_for, separations

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from split_cli.vehicle.effects.recording import Recording, phase_shifted, shifted
-from split_cli.vehicle.effects.search import DELAYS, Course, Range, Search
+from split_cli.vehicle.effects.search import DELAYS, LONGEST_DELAY, Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, late, number, scaled
 from split_cli.vehicle.parameters import Vehicle
@@ -30,6 +30,8 @@ _GYRO = "judgement: three degrees a second, beyond any gyroscope that was switch
 # Yaw rate that a gyroscope may read at rest [rad/s]: judgement, a degree a second, where nobody set it to zero.
 _COLD = 0.0175
 _WORN = "judgement: wheels wear and gyroscopes age by a few per cent, 15 % is another unit"
+# Delay of a channel in a sound recording [s]: many loggers write the time in whole milliseconds.
+_STAMPED = 0.001
 _UNALIGNED = "judgement: filters, buses and clocks that nobody aligned make a channel late by up to a second"
 _WORDS = {
     "r": "the yaw rate",
@@ -336,7 +338,8 @@ class ChannelDelay(_Instrument):
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts [s]: clocks do not run faster in smaller cars."""
         names = cls.parameter_units(variant)
-        limits = Range(0.0, 1.0, 0.001, _UNALIGNED, tolerance=_LEANS_LATE if variant in ("ax", "ay") else 0.0)
+        tolerance = _LEANS_LATE if variant in ("ax", "ay") else _STAMPED
+        limits = Range(0.0, LONGEST_DELAY, 0.001, _UNALIGNED, tolerance=tolerance)
         starts = tuple(dict.fromkeys(names, value) for value in DELAYS)
         return Search(dict.fromkeys(names, limits), starts)
 

@@ -13,6 +13,7 @@ __all__ = [
     "CHANGED_LAG_SEARCH",
     "DELAY_SEARCH",
     "LAG_SEARCH",
+    "LONGEST_DELAY",
     "Course",
     "Range",
     "Search",
@@ -105,7 +106,11 @@ _SLOW = "judgement: a turbo-charged engine builds up torque in up to a second, n
 #: Delays at which fits of a delay begin [s], spaced about evenly in ratio. Minima between them are found by
 #: `split_cli.diagnosis.search.delay_minima`.
 DELAYS = (0.004, 0.015, 0.045, 0.08, 0.13, 0.22, 0.38, 0.65)
-DELAY_SEARCH = Search({"delay": Range(0.0, 1.0, 0.001, _LATE)}, tuple({"delay": value} for value in (0.001, *DELAYS)))
+#: Longest delay of a command or a channel that is searched for [s].
+LONGEST_DELAY = 1.0
+DELAY_SEARCH = Search(
+    {"delay": Range(0.0, LONGEST_DELAY, 0.001, _LATE)}, tuple({"delay": value} for value in (0.001, *DELAYS))
+)
 #: In units of `time_unit`: engines and servos of small cars are quicker.
 LAG_SEARCH = Search(
     {"tau": Range(0.0, 1.0, 0.001, _SLOW)}, tuple({"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16))
