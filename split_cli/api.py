@@ -16,7 +16,7 @@ from split_cli.learning.in_memory import train_in_memory
 from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.training_set import TrainingSet, read_set
-from split_cli.logs.drive import Drive, read_drive
+from split_cli.logs.drive import Drive, read_drive, with_inputs_alike
 from split_cli.plots.chart import Chart
 from split_cli.plots.draw import draw_chart
 from split_cli.plots.evaluation import draw_figures
@@ -328,11 +328,12 @@ def diagnose(
     holdout: Drive | Sequence[Drive] = (),
 ) -> DiagnosisResult:
     """Say where simulation and reality differ and name what was left out; see `split diagnose`."""
-    groups = [(one,) if isinstance(one, Drive) else tuple(one) for one in (real, simulated, holdout)]
+    several = [(one,) if isinstance(one, Drive) else tuple(one) for one in (real, simulated, holdout)]
+    groups, _ = with_inputs_alike(several)
     correct = RecordingCorrection(vehicle)
     measured, held = ([correct.sensors(drive) for drive in groups[k]] for k in (0, 2))
     diagnosis = diagnose_drives(measured, vehicle, list(groups[1]), held)
-    return DiagnosisResult(diagnosis, vehicle, groups[0], groups[1])
+    return DiagnosisResult(diagnosis, vehicle, tuple(groups[0]), tuple(groups[1]))
 
 
 def charts(drive: Drive, vehicle: Vehicle | None = None) -> Mapping[str, Chart]:

@@ -23,7 +23,9 @@ COLUMNS: dict[str, dict[str, str]] = {
         "value": "estimate, in the unit of its row or column",
         "valid region %": "share of the cells of the valid region that hold a point",
         "samples": "label windows of the drive",
-        "accepted": "samples inside the valid region, which may be learned from",
+        "in valid region": "samples that may be learned from",
+        "redundant": "samples in the valid region that are no new points, since the stored points tell nearly as much; "
+        "they are averaged into these",
     },
     "evaluate": {
         "+-": "standard error of the value to its left",
@@ -62,7 +64,7 @@ COLUMNS: dict[str, dict[str, str]] = {
     "diagnose": {
         "from": "smallest size at which this effect, if it were the only one, would have been identified on these "
         "drives",
-        "or": "alternatives: explanations that these data cannot separate from the term",
+        "explained as well by": "alternatives: explanations that these data cannot separate from the term",
         "parameter": "parameter of the term; docs/catalogue.md gives unit and sign",
         "std error": "standard error of the estimate, in its unit; includes the uncertainty from effects "
         "that look alike",

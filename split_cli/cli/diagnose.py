@@ -106,7 +106,7 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, held, eng
         click.echo(f"split: report in {output / 'report.html'}", err=True)
         _tell(result)
         if vehicle_name(result) == VEHICLES[0]:
-            shared.tell_to_train(real, output / VEHICLES[0])
+            shared.tell_to_train(real, output / VEHICLES[0], held=held)
     if exit_code and result.verdict == "mismatch":
         sys.exit(3)
 
@@ -129,7 +129,7 @@ def _tell(result) -> None:
             for f in result.findings
             for name, p in f.parameters.items()
         ]
-        shared.print_table(["term", "parameter", "value", "std error", "unit", "or"], rows)
+        shared.print_table(["term", "parameter", "value", "std error", "unit", "explained as well by"], rows)
     for lead in result.leads:
         click.echo(lead.sentence)
     if result.verdict == "match" and result.detectable:

@@ -46,8 +46,9 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     default=("z2",),
     callback=_feature_sets,
     metavar="LIST",
-    help="Inputs of the correction: z1, z2, or a comma-separated list of signals and terms with states. Repeat "
-    "the option, or write z1,z2, to compare feature sets at equal sizes.",
+    help="Inputs of the correction: z1, z2, or a comma-separated list of signals and terms with states. Set z2 has "
+    "slip angles and T/T_max, z1 has v_x, v_y, r, T/T_max and delta. Repeat the option, or write z1,z2, to compare "
+    "feature sets at equal sizes.",
 )
 @click.option(
     "--sizes",

@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
@@ -152,20 +153,40 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
     if options["report"] is not None:
         _write_report(run, vehicle_path, options["report"])
     _tell_what_was_left(logs, output)
+    others = _tell_of_other_cars(run, vehicle_path)
     _show(run, as_json)
     if not as_json and not run.failures:  # else the last lines are those of the logs that failed
-        _tell_what_follows(run, output, vehicle_path)
+        _tell_what_follows(run, output, vehicle_path, others)
     return 1 if run.failures else 0
 
 
-def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
-    """Name the command that takes the drives; where one contradicts itself, what to mend first."""
+def _tell_of_other_cars(run, vehicle_path: Path | None) -> list[Path]:
+    """Say which drives look like those of another car; return their paths."""
+    from split_cli.vehicle.parameters import read_vehicle
+    from split_cli.workflows.recordings import looks_like_another_car
+
+    faulty = [result for result in run.results if result.contradictions] if vehicle_path else []
+    said = {one.drive_path: looks_like_another_car(one.drive, read_vehicle(vehicle_path)) for one in faulty}
+    for path, text in said.items():
+        if text:
+            click.echo(f"WARNING: {path}: {text}", err=True)
+    return [path for path, text in said.items() if text]
+
+
+def _tell_what_follows(run, output: Path, vehicle_path: Path | None, others: Sequence[Path]) -> None:
+    """Name the command that takes the drives; where one contradicts itself, what to mend first.
+
+    Drives `others` look like those of another car than that of the vehicle file.
+    """
     from split_cli.vehicle.parameters import read_vehicle
 
     drives = [result.drive_path for result in run.results]
     again = _command_with_what_is_named(run)
     faulty = [str(result.drive_path) for result in run.results if result.contradictions]
-    if faulty:
+    if others:
+        names = f"{', '.join(map(str, others[:3]))}{' ...' if len(others) > 3 else ''}"
+        shared.tell_next(before=f"ingest the log of {names} again with the file of its car")
+    elif faulty:
         names = f"{', '.join(faulty[:3])}{' ...' if len(faulty) > 3 else ''}"
         before = f"correct the map as `does not fit together` says of {names}, and ingest again"
         shared.tell_next(again, before=f"{before}: " if again else before)

@@ -53,7 +53,7 @@ def command(
         return
     reasons = dict.fromkeys(name for result in results for name, _ in result.rejected)
     rows = [[r.drive, r.samples, r.accepted, *(dict(r.rejected).get(reason, 0) for reason in reasons)] for r in results]
-    shared.print_table(["drive", "samples", "accepted", *(f"rejected: {reason}" for reason in reasons)], rows)
+    shared.print_table(["drive", "samples", "in valid region", *(f"rejected: {reason}" for reason in reasons)], rows)
     result = results[0]
     click.echo(f"\nhorizon {result.horizon:g} s, {result.window} samples")
     if result.rms and not several:

@@ -311,10 +311,11 @@ def _cell(value: Any) -> str:
     return str(value)
 
 
-def tell_to_train(drives: Sequence[Path], vehicle: Path | str, *, before: str = "") -> None:
+def tell_to_train(drives: Sequence[Path], vehicle: Path | str, *, held: Sequence[str] = (), before: str = "") -> None:
     """Name the command that trains on drives; the set is called as the one drive, or as the car of several."""
     name = Path(drives[0] if len(drives) == 1 else vehicle).stem
-    tell_next(["split", "train", *drives, "--vehicle", vehicle, "-o", f"{name}.split"], before=before)
+    same = ["--held", ",".join(held)] if held else []
+    tell_next(["split", "train", *drives, "--vehicle", vehicle, *same, "-o", f"{name}.split"], before=before)
 
 
 def named_after(path: Path | str, what: str) -> str:

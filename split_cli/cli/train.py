@@ -15,8 +15,8 @@ from split_cli.cli.verbosity import StepBar, print_notes
 @click.option(
     "--features",
     metavar="LIST",
-    help="Inputs of the correction: z2 (default), z1, or a comma-separated list of these, signals and terms with "
-    "states. An example is z2,feature_lag.",
+    help="Inputs of the correction: z2 (default), z1, or a comma-separated list of z1 or z2, signals and terms with "
+    "states. Set z2 has slip angles and T/T_max, z1 has v_x, v_y, r, T/T_max and delta. An example is z2,feature_lag.",
 )
 @click.option(
     "--hyperparameters",
@@ -173,7 +173,8 @@ def _print_rows(result) -> None:
     rows = [*result.rows, result.total]
     reasons = list(dict.fromkeys(reason for row in rows for reason, _ in row.rejected))
     share = result.total.valid_share is not None
-    header = ["drive", "samples", "accepted", *(f"rejected: {r}" for r in reasons), "updates", "set size", "cells"]
+    turned_down = ["redundant" if reason == "gain" else f"rejected: {reason}" for reason in reasons]
+    header = ["drive", "samples", "in valid region", *turned_down, "updates", "set size", "cells"]
     header += [*(["valid region %"] if share else []), "us/sample", "MB"]
     table = []
     for row in rows:

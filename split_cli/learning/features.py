@@ -154,8 +154,12 @@ def parse_features(text: str | Sequence[str]) -> FeatureSet:
     if isinstance(text, str):
         text = [name.strip() for name in text.split(",") if name.strip()]
     names = tuple(one for name in text for one in _named(name))
-    if not names or len(set(names)) != len(names):
-        raise DriveError(f"features {','.join(names)!r}: a list of distinct names was expected")
+    twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    if twice is not None:
+        advice = "Give one of them, or list each signal once." if len(text) > 1 else "List each signal once."
+        raise DriveError(f"features {','.join(text)!r} contain {twice} twice", advice=advice)
+    if not names:
+        raise DriveError("features: no name was given", advice="Give z1, z2 or a comma-separated list of signals.")
     return FeatureSet(names)
 
 

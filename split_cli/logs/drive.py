@@ -37,6 +37,7 @@ __all__ = [
     "open_drive",
     "read_drive",
     "unstated_inputs",
+    "with_inputs_alike",
     "write_drive",
 ]
 
@@ -136,7 +137,10 @@ class Drive:
                     where=self.name,
                     advice=nearest_names(name, INPUT_CHANNELS),
                 )
-        between = {**self.metadata.between, **dict.fromkeys(channels, "held")}
+        return self.with_between({**self.metadata.between, **dict.fromkeys(channels, "held")})
+
+    def with_between(self, between: Mapping[str, str]) -> Drive:
+        """Return the drive with another `DriveMetadata.between`."""
         return replace(self, metadata=replace(self.metadata, between=between))
 
     @property
@@ -409,11 +413,37 @@ def unstated_inputs(drives: Sequence[Drive]) -> tuple[str, ...]:
     unstated = {name: None for drive in drives for name in INPUT_CHANNELS if name not in drive.metadata.between}
     if not unstated:
         return ()
-    named = " and ".join(unstated)
     return (
-        f"{named}: the recording does not say what happens between samples; linear interpolation is used. Give "
-        f"--held {','.join(unstated)} if values are kept until the next sample, as commands are",
+        f"{' and '.join(unstated)}: the recording does not say what happens between samples, so straight lines are "
+        "taken. A command that is kept until the next sample then comes half a sample early, which looks like a delay. "
+        f"For such commands give --held {','.join(unstated)}",
     )
+
+
+def with_inputs_alike(groups: Sequence[Sequence[Drive]]) -> tuple[list[list[Drive]], tuple[str, ...]]:
+    """Return groups of drives that are compared, with inputs that do the same between samples, and notes on them.
+
+    Where some drives say that an input is held until the next sample, or runs on continuously, those that say nothing
+    take it from them. Read in two ways, one and the same command would differ by a delay of half a sample. Drives that
+    contradict each other stay as they are, which a note says.
+    """
+    out, notes = [list(group) for group in groups], []
+    for name in INPUT_CHANNELS:
+        every = [drive for group in out for drive in group]
+        stated = {drive.metadata.between[name]: drive.name for drive in every if name in drive.metadata.between}
+        if len(stated) > 1:
+            one, other = (f"{how} in {where}" for how, where in stated.items())
+            notes.append(
+                f"{name} is {one} and {other}. That alone looks like a delay of half a sample; give --held {name} if "
+                "it is a command in all of them"
+            )
+            continue
+        for how, where in stated.items():
+            for drive in every:
+                if name not in drive.metadata.between:
+                    notes.append(f"{drive.name} does not say what {name} does between samples: {how}, as in {where}")
+            out = [[drive.with_between({name: how, **drive.metadata.between}) for drive in group] for group in out]
+    return out, tuple(notes)
 
 
 def write_drive(drive: Drive, path: str | Path) -> None:

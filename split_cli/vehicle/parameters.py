@@ -237,8 +237,9 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
         if letter in content[tire] and content[tire][letter] is None
     ]
     if lacking:
-        advice = "Fill them in: docs/formats.md explains each, and so do the comments in a file of `split init`."
-        raise VehicleError(f"lacks {', '.join(lacking)}", where=where, advice=advice)
+        shown = ", ".join(f"{key} [{unit}]" if (unit := _unit_of(key)) else key for key in lacking)
+        advice = f"Write `{lacking[0]}: VALUE` and the like; docs/formats.md and a file of `split init` explain each."
+        raise VehicleError(f"lacks {shown}", where=where, advice=advice)
     numbers = {key: values.number(key, content[key]) for key in _NUMBERS if content.get(key) is not None}
     for key in _POSITIVE:
         if key in numbers and not numbers[key] > 0:
@@ -297,7 +298,7 @@ def _finite_number(key: str, value: Any, where: str) -> float:
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**300:
         raise VehicleError(f"{key} has more than 300 digits, a finite number was expected", where=where)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
-        unit = _VALUES_OF_CARS.get(key.rpartition(".")[2], (0.0, 0.0, ""))[2]
+        unit = _unit_of(key)
         what = f"{key} is {value!r}, a finite number{f' in {unit}' if unit else ''} was expected"
         raise VehicleError(what, where=where, advice=f"Write `{key.rpartition('.')[2]}: NUMBER`.")
     return float(value)
@@ -343,6 +344,11 @@ _VALUES_OF_CARS = {
     "C": (1e-3, 2.0, ""),
     "D": (1e-3, 1e8, "N"),
 }
+
+
+def _unit_of(key: str) -> str:
+    """Return the unit of a parameter, also of a tyre's as ``front_tire.D``; empty where it has none."""
+    return _VALUES_OF_CARS.get(key.rpartition(".")[2], (0.0, 0.0, ""))[2]
 
 
 def _refuse_no_car(values: Mapping[str, float], where: str, prefix: str = "") -> None:

@@ -90,6 +90,8 @@ def demo_steps(samples: Path, output: Path) -> tuple[DemoStep, ...]:
                 typed_path(samples / SIMULATED_LOG),
                 "--vehicle",
                 vehicle,
+                "--held",
+                "T,delta",
                 "--out",
                 typed_path(output / DIAGNOSIS),
             ),

@@ -18,7 +18,7 @@ from split_cli.files import atomic_directory, refuse_what_cannot_be_a_folder, sh
 from split_cli.learning.features import Z2
 from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
-from split_cli.logs.drive import Drive, read_drive, unstated_inputs
+from split_cli.logs.drive import Drive, read_drive, unstated_inputs, with_inputs_alike
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
 from split_cli.workflows.drive_charts import diagnosis_charts
 from split_cli.workflows.engine import HERE, Engine
@@ -68,11 +68,11 @@ def diagnose_files(
     """
     refuse_what_cannot_be_a_folder(output)
     with distributing_by(engine.map) if engine.carries_closures else contextlib.nullcontext():
-        diagnosis, vehicle, drives = read_and_diagnose(
+        diagnosis, vehicle, drives, modelled = read_and_diagnose(
             real, vehicle_path, simulated=simulated, holdout=holdout, held=held, progress=progress, note=note
         )
     progress("writing")
-    write_diagnosis(diagnosis, vehicle, output, drives, [read_drive(path, held) for path in simulated])
+    write_diagnosis(diagnosis, vehicle, output, drives, modelled)
     return diagnosis
 
 
@@ -85,26 +85,29 @@ def read_and_diagnose(
     held: Sequence[str] = (),
     progress: Callable[[str], None] = lambda step: None,
     note: Callable[[str], None] = lambda text: None,
-) -> tuple[Diagnosis, Vehicle, Sequence[Drive]]:
-    """Return a diagnosis, the vehicle and the real drives, writing nothing; parameters as for `diagnose_files`.
+) -> tuple[Diagnosis, Vehicle, Sequence[Drive], Sequence[Drive]]:
+    """Return a diagnosis, the vehicle, the real and the simulated drives, writing nothing.
+
+    Parameters are those of `diagnose_files`.
 
     Faults of sensors that the vehicle file names are taken off the real drives; a simulation has no sensors.
     """
     vehicle_path = vehicle_file(vehicle_path)
     vehicle = read_vehicle(vehicle_path)
     groups = {"real": real, "sim": simulated, "holdout": holdout}
-    drives = {role: [read_drive(path, held) for path in paths] for role, paths in groups.items()}
-    given = [drive for several in drives.values() for drive in several]
+    read, alike = with_inputs_alike([[read_drive(path, held) for path in paths] for paths in groups.values()])
+    drives = dict(zip(groups, read, strict=True))
+    given = [drive for several in read for drive in several]
     # A car that differs from its file is what is looked for: said at once, and not refused.
     warnings = vehicle_warnings(drives["real"], vehicle, any_vehicle=True)
-    for text in (*warnings, *unstated_inputs(given), *_long(given)):
+    for text in (*warnings, *alike, *unstated_inputs(given), *_long(given)):
         note(text)
     inputs = [InputFile(one.name, one.sha256, role) for role, several in drives.items() for one in several]
     inputs.append(InputFile(vehicle_path.name, sha256_of_file(vehicle_path), "vehicle"))
     correct = RecordingCorrection(vehicle)
     measured, holdouts = ([correct.sensors(drive) for drive in drives[role]] for role in ("real", "holdout"))
     diagnosis = diagnose(measured, vehicle, drives["sim"], holdouts, inputs=inputs, progress=progress)
-    return diagnosis, vehicle, drives["real"]
+    return diagnosis, vehicle, drives["real"], drives["sim"]
 
 
 def _long(drives: Sequence[Drive]) -> tuple[str, ...]:

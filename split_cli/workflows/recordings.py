@@ -135,3 +135,19 @@ def vehicle_warnings(
             warnings.append(f"WARNING: {drive.name} {wrong}")
         warnings += [f"WARNING: {drive.name}: {doubt}: other tyres, load or road" for doubt in one.doubts()]
     return tuple(warnings)
+
+
+def looks_like_another_car(drive: Drive, vehicle: Vehicle) -> str:
+    """Return in words that a drive is rather of another car than that its map is wrong; empty where it is not.
+
+    One wrong unit contradicts a vehicle file in one way. Steering, grip and torque do not all have a wrong unit.
+    """
+    shown = belonging(drive, vehicle)
+    contradictions = [one for one in shown.contradictions() if one not in shown.turned_signs()]
+    if len(contradictions) < 2:
+        return ""
+    return (
+        f"this looks like a recording of another car than {vehicle.name!r} ({vehicle.mass:.4g} kg, wheelbase "
+        f"{vehicle.wheelbase:.3g} m): {'; '.join(contradictions)}. If so, give the file of its car with --vehicle "
+        "before you change the map"
+    )

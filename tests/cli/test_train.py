@@ -112,8 +112,8 @@ def test_the_table_has_a_row_a_drive_and_a_total(garage, tmp_path):
     made = ("--vehicle", garage / "car.yaml", "-o", tmp_path / "a.split", "--trust", "full")
     outcome = run("train", *drives_of(garage), *made)
     lines = outcome.stdout.splitlines()
-    assert lines[0].split()[:3] == ["drive", "samples", "accepted"]
-    for column in ("gap", "gain", "updates", "set size", "cells", "valid region %", "us/sample", "MB"):
+    assert lines[0].split()[:5] == ["drive", "samples", "in", "valid", "region"]
+    for column in ("gap", "redundant", "updates", "set size", "cells", "valid region %", "us/sample", "MB"):
         assert column in lines[0]
     assert [line.split()[0] for line in lines[2:6]] == ["d0.parquet", "d1.parquet", "d2.parquet", "total"]
     # Not a terminal: no progress; said once what these drives do not tell, and what comes next.

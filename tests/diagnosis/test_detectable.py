@@ -76,6 +76,7 @@ def test_beside_a_name_a_size_is_told_by_what_the_name_cannot_take_up(told):
     chosen = selected(objective, *candidates).chosen
     found = detection_limits((objective,), candidates, INFLATION, LEVEL, named=chosen.parts)
     beside = {one.term: one.parameters for one in found}
+    assert "steer_gain" not in beside and "steer_gain" in told  # its interval says how well it is known
     alone, value = told["yaw_inertia"].parameters["scale"][0], beside["yaw_inertia"]["scale"][0]
     assert abs(value - 1.0) > 1.2 * abs(alone - 1.0)
     drag = told["aero_drag"].parameters["drag"][0]

@@ -26,7 +26,7 @@ def test_lists_may_name_sets_and_terms(text, names):
 
 
 def test_a_feature_counts_once():
-    with pytest.raises(DriveError, match="distinct"):
+    with pytest.raises(DriveError, match="alpha_f twice"):
         parse_features("z2,alpha_f")
 
 

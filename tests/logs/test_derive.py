@@ -169,6 +169,14 @@ def test_what_a_derivation_lacks_is_said():
     recording = drive.recording(channels)
     with pytest.raises(MapError, match="T is required and not mapped.*--derive torque-from-acceleration"):
         assemble_drive(recording, planted_map(channels), drive.vehicle)
+    named = replace(
+        planted_map(channels),
+        channels=tuple(
+            replace(one, channel="torque") if one.channel == "ax" else one for one in planted_map(channels).channels
+        ),
+    )
+    with pytest.raises(MapError, match="The map has 'torque', which is no channel: is it meant"):
+        assemble_drive(recording, named, drive.vehicle)
     with pytest.raises(MapError, match="needs the vehicle"):
         assemble_drive(recording, planted_map(channels), None, IngestSettings(derive=("torque-from-acceleration",)))
     with pytest.raises(MapError, match="motor_current"):

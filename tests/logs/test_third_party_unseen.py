@@ -214,7 +214,7 @@ def test_fixes_once_a_second_judge_a_yaw_rate_by_what_both_can_show(tmp_path):
     }
     draft = drafted_table(table, tmp_path)
     assert "r against the turning of X, Y" in draft.of("r").reason
-    slope = float(draft.of("r").reason.split("turning of X, Y ")[1].split(";")[0])
+    slope = float(draft.of("r").reason.split("turning of X, Y: ratio ")[1].split(";")[0])
     assert slope == pytest.approx(1.0, abs=0.1)
 
 
@@ -268,7 +268,7 @@ def test_topics_as_tables_with_seconds_and_nanoseconds_make_one_drive(tmp_path):
     write_table(tmp_path / "pose.csv", {**stamp, "x": planted.at("X", t), "y": planted.at("Y", t), **turned})
     draft = draft_map(open_logs([tmp_path / f"{name}.csv" for name in ("imu", "odom", "pose")]))
     assert draft.of("yaw").sources == tuple(f"pose.q.{axis}" for axis in "xyzw")
-    assert "r against dyaw/dt 1" in draft.of("yaw").reason and draft.of("vx").status == "judged"
+    assert "r against dyaw/dt: ratio 1" in draft.of("yaw").reason and draft.of("vx").status == "judged"
 
 
 def test_east_and_north_tell_no_side_of_a_yaw_rate_that_does_not_follow_them(tmp_path):
@@ -295,7 +295,7 @@ def test_a_quick_slalom_judges_accelerations_by_what_v_y_adds(tmp_path):
     table |= {"Body.PoI.ay [m/s^2]": 0.9 * lateral - 0.3 * dr, "Car.ay [m/s^2]": lateral}
     draft = drafted_table(table, tmp_path)
     assert draft.of("ay").sources == ("Car.ay",) and draft.of("vx").status != "open"
-    assert "v_x r + dv_y/dt 1" in draft.of("ay").reason
+    assert "v_x r + dv_y/dt: ratio 1" in draft.of("ay").reason
     # A v_y of the other hand goes worse with a_y than none.
     draft = drafted_table(table | {"Car.vy [m/s]": -vy}, tmp_path)
     assert "dv_y/dt" not in draft.of("r").reason

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording
 from split_cli.vehicle.effects.recording import first_order_from_means, first_order_response, over_samples
 from split_cli.vehicle.integration import integrate_recorded
@@ -158,3 +159,23 @@ def test_a_stated_course_is_kept_in_files_and_a_wrong_one_is_told(tmp_path):
     assert not unstated_inputs([replace(back, metadata=stated)])
     with pytest.raises(DriveError, match="'vx' cannot be held"):
         read_drive(tmp_path / "d.parquet", ("vx",))
+
+
+def test_drives_that_are_compared_read_their_commands_in_one_way():
+    """A recording beside a copy of itself without that statement was called 5 ms late: half a sample."""
+    from split_cli.logs.drive import DriveMetadata, with_inputs_alike
+
+    def drive(name: str, **between: str) -> Drive:
+        return one_run({"vx": np.zeros(5)}, PERIOD, name, metadata=DriveMetadata(between=between))
+
+    silent, stated, other = drive("a"), drive("b", T="held", delta="continuous"), drive("c", T="continuous")
+    groups, notes = with_inputs_alike([[silent], [stated], []])
+    assert [one.metadata.between for group in groups for one in group] == [stated.metadata.between] * 2
+    assert groups[2] == [] and notes == (
+        "a does not say what T does between samples: held, as in b",
+        "a does not say what delta does between samples: continuous, as in b",
+    )
+    # Statements that contradict each other stand, and are told; nothing stated stays so.
+    groups, notes = with_inputs_alike([[stated], [other]])
+    assert groups[0][0].held == ("T",) and groups[1][0].held == () and "--held T" in notes[0]
+    assert with_inputs_alike([[silent], [silent]])[1] == ()

@@ -215,7 +215,7 @@ def test_an_understeer_gradient_of_the_model_alone_is_not_drawn(monkeypatch, car
         assert [chart.name for chart in handling_charts([real, model], car)] == drawn
     monkeypatch.setattr(handling, "understeer_of", lambda motion, _: motion == "real" and gradient)
     (chart,) = handling_charts([real, SimpleNamespace(**vars(model) | {"name": "nominal model"})], car)
-    assert chart.note.endswith(" Too little gentle cornering: nominal model.")
+    assert chart.note.endswith(" There is too little gentle cornering for a slope of nominal model.")
     assert "ranges differ" not in chart.note and "over |a_y| up to 3.0 m/s²" in chart.note
     # Its line ends where the moments do.
     assert chart.series[-1].x.min() >= lateral.min() and chart.series[-1].x.max() <= lateral.max()

@@ -1,4 +1,4 @@
-"""Detection limits: the smallest size of each effect that would have been named beside the findings."""
+"""Detection limits: the smallest size of each other effect that would have been named beside the findings."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -74,7 +74,7 @@ def detection_limits(
     faulty_saving: FaultySaving | None = None,
     named: Sequence[Part] = (),
 ) -> tuple[Detectable, ...]:
-    """Return the smallest size of each parameter of each term that would be named on these recordings.
+    """Return the smallest size of each parameter of each further term that would be named on these recordings.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def detection_limits(
         `saving_on_faulty_recordings` for terms that alter commands. Without it their saving is computed from the
         present rows.
     named : sequence of Part
-        Findings. The limit of a term among them is that beside the other findings.
+        Findings. They have no limit: their intervals say how well they are known.
 
     Notes
     -----
@@ -103,17 +103,14 @@ def detection_limits(
     Beside findings the saving is what these cannot take up with other values. The effect must exceed their model-form
     error, as a further finding has to, and its interval includes the uncertainty of their values.
     """
-    besides: dict[tuple[int, str], _Beside] = {}
-    for k, objective in enumerate(objectives):
-        for term in ("", *(part.candidate.term for part in named)):
-            besides[k, term] = _beside(objective, [part for part in named if part.candidate.term != term])
+    besides = [_beside(objective, named) for objective in objectives]
 
     def smallest(candidate: Candidate, start: Mapping[str, float]) -> tuple[float, dict[str, float]]:
-        last = len(objectives) - 1 if alters_inputs(candidate.build(start)) else 0
-        beside = besides.get((last, candidate.term), besides[last, ""])
+        beside = besides[-1 if alters_inputs(candidate.build(start)) else 0]
         return _smallest(beside, candidate, start, variance_inflation, level / len(candidates), faulty_saving)
 
-    every = _alone(candidates)
+    known = {part.candidate.term for part in named}
+    every = _alone([one for one in candidates if one.term not in known])
     tried = [(one, start) for several in every.values() for one, start in several]
     found = iter(map_distributed(lambda one: smallest(*one), tried))
     parameters: dict[str, dict[str, tuple[float, str]]] = {}

@@ -40,7 +40,7 @@ from split_cli.logs.checking.copies import copied_channels
 from split_cli.logs.checking.late_channels import late_channels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
 from split_cli.logs.drive_metadata import yaw_rate_is_of_acceleration
-from split_cli.logs.map_entries import SignalMap, TimeBase
+from split_cli.logs.map_entries import EXTRA_UNITS, SignalMap, TimeBase
 from split_cli.logs.one_car import of_one_car
 from split_cli.logs.raw import NO_CHECKSUMS, Clock, RawRecording
 from split_cli.logs.scratch import set_aside
@@ -334,9 +334,12 @@ def _needed_channels(signal_map: SignalMap, derivations: Sequence[str]) -> list[
 
 
 def _misspelt(channel: str, signal_map: SignalMap) -> str:
-    """Return the channel of the map that is no channel of a drive and is spelled nearly as a required one."""
-    close = get_close_matches(channel, [one.channel for one in signal_map.channels if one.channel not in CHANNELS])
-    return f" The map has {close[0]!r}, which is no channel: is it meant?" if close else ""
+    """Return the names of the map that no program knows as a channel, or the one spelled nearly as a required one."""
+    others = [one.channel for one in signal_map.channels if one.channel not in CHANNELS]
+    close = get_close_matches(channel, others)[:1] or [name for name in others if name not in EXTRA_UNITS]
+    named = ", ".join(map(repr, close[:3]))
+    which = "are no channels: is one of them" if len(close) > 1 else "is no channel: is it"
+    return f" The map has {named}, which {which} meant?" if close else ""
 
 
 def _check_required(gathered: Gathered, derivations: Sequence[str], signal_map: SignalMap, where: str) -> None:

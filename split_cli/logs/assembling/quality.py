@@ -117,6 +117,7 @@ def render_quality(report: QualityReport) -> str:
         )
     if beyond:
         lines.append(f"and {len(beyond)} further columns, kept as recorded: {_few([c.source for c in beyond])}")
+    unknown = [c.channel for c in report.channels if c.channel != c.source and c.channel not in _KNOWN]
     skipped = ", ".join(text.split(":")[0] for text in report.skipped)
     dropped: dict[str, list[str]] = {}
     for drop in dict.fromkeys(d for c in report.channels for d in c.drops):
@@ -125,6 +126,7 @@ def render_quality(report: QualityReport) -> str:
         ("dropped or moved", [f"{what} in {_few(sources)}" for what, sources in dropped.items()]),
         ("assumed", _assumed(report.assumed)),
         ("file and map disagree", report.contradictions),
+        ("no channel of this program, kept and not used", [_few(unknown)] if unknown else []),
         ("not in this recording", [f"{skipped}, which the map calls optional"] if skipped else []),
         ("delays", [estimate.statement for estimate in report.delays]),
         ("could not be judged", _unjudged(report.consistency)),

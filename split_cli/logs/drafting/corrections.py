@@ -236,11 +236,11 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     if _agree_in_any_unit(s, chosen, verdict):
         return replace(s, unit=unit, reason=f"{remark}unit not stated, {unit} assumed: r and yaw agree in degrees too")
     if holding and _turns_alone(s, key, holding):
-        shown = f"{holding[0].name} {holding[0].slope.slope:.3g}, of any unit of length"
+        shown = f"{holding[0].name}: ratio {holding[0].slope.slope:.3g}, of any unit of length"
         return replace(s, unit=unit, reason=f"{_assumed(s, unit)}, and nothing judges its size: {shown}")
     if holding:
         notes = [f"; note: {f.text}" for f in verdict.findings if f.channel == s.channel]
-        shown = "; ".join(f"{r.name} {r.slope.slope:.3g}" for r in holding[:3])
+        shown = "; ".join(f"{r.name}: ratio {r.slope.slope:.3g}" for r in holding[:3])
         if against := _better_blamed(s.channel, holding, verdict):
             doubt = f"its scale: {against.name} {against.slope.slope:.3g}, and with that factor in {s.channel}"
             return replace(s, unit=unit, status="assumed", reason=f"{remark}{doubt} the others fit better: {shown}")

@@ -25,7 +25,7 @@ _NO_LEFT = (
 )
 _MARKS = {
     "judged": "judged: ",
-    "unsided": "CHECK left and right; size judged: ",
+    "unsided": "CHECK left and right; the size is judged: ",
     "stated": "unit as the file says; not judged",
     "assumed": "CHECK: ",
 }
@@ -108,7 +108,7 @@ def render_draft(draft: Draft, name: str) -> str:
     """Return a drafted map as YAML text."""
     lines = [
         f"# A draft for {name}. `judged`: the channel fits the others. `CHECK`: nothing judged it, look at it.",
-        "# A number behind a relation is the measured slope; it is 1 where both sides agree.",
+        "# The ratio of a relation is its measured slope; it is 1 where both sides agree.",
         "name: draft",
         *(f"# {line}" for line in lines_on_presets(draft.presets)),
         draft.time,

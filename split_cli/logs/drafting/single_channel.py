@@ -59,7 +59,7 @@ def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -
             remark = f"T and dv_x/dt {how}: it drives nothing, as the torque in a steering column does"
             return s.left_open(remark)
         return replace(s, status="assumed", reason="; ".join(filter(None, (of_part, remark))))
-    size = f"{abs(slope.slope):.3g} N m for 1 m/s^2, which should be mass times wheel radius"
+    size = f"{abs(slope.slope):.3g} N m for 1 m/s^2, to compare with mass times wheel radius in SI units"
     if slope.slope < 0.0:
         s, size = replace(s, scale=-s.scale), f"its sign is turned; {size}"
     if abs(slope.slope) * HIGHEST_RATIO < _LEAST_OF_A_CAR <= abs(slope.slope) * 1e3 and is_full_size(columns):

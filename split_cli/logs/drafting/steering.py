@@ -239,7 +239,7 @@ def _road_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], vehicle: Vehic
     if unit is None:
         return _without_unit(s, size, float(np.nanquantile(np.abs(values), 0.999)), turned, hand, columns)
     if size <= _LONGEST_WHEELBASE:
-        reason = f"{size:.3g} m of angle over curvature is a wheelbase{hand}"
+        reason = f"{size:.3g} m of steer angle over the curvature of the path, a wheelbase{hand}"
         return replace(s, status="judged", reason=reason, **turned)
     if size >= _SHORTEST_STEERING_WHEEL:
         return s.left_open(_ratio(reach, s, vehicle))
@@ -256,10 +256,11 @@ def _line(s: Suggestion, unit: str, scale: str) -> str:
 def _between(reach: float, s: Suggestion) -> str:
     """Say of a size that a small car's steering wheel has, or a lorry's road wheels, what to write for each."""
     sign = "-" if reach < 0 else ""
+    of_wheel = _line(s, s.unit or "rad", f"{sign}1/RATIO")
     return (
-        f"{abs(reach):.3g} m of angle over curvature: more than a wheelbase, little for a steering wheel. "
-        f"If it is the steering wheel's, write {_line(s, s.unit or 'rad', f'{sign}1/RATIO')}, its ratio being "
-        "that over the wheelbase; if the road wheels', leave the scale out"
+        f"{abs(reach):.3g} m of steer angle over the curvature of the path: more than a wheelbase, little for a "
+        f"steering wheel. If it is the steering wheel's, write {of_wheel}, its ratio being that over the wheelbase; "
+        "if the road wheels', leave the scale out"
     )
 
 
@@ -275,16 +276,19 @@ def _without_unit(
         why = f"what the driver or a pilot asks for: a command without unit. {_scale_of_command(size, bool(turned))}"
         return s.left_open(why)
     if "steer" not in named and 0.05 < size < _LONGEST_WHEELBASE:
-        reason = f"rad: {size:.3g} m of angle over curvature is a wheelbase{hand}"
+        reason = f"rad: {size:.3g} m of steer angle over the curvature of the path, a wheelbase{hand}"
         return replace(s, unit="rad", status="judged", reason=reason, **turned)
     if is_full_size(columns):
         unit, of_road = _read_size(size)
         if of_road:
             factor = 1.0 if unit == "rad" else np.pi / 180.0
-            reason = f"{unit}: {size * factor:.3g} m of angle over curvature is a wheelbase{hand}"
+            reason = f"{unit}: {size * factor:.3g} m of steer angle over the curvature of the path, a wheelbase{hand}"
             if unit == "rad" and not concepts_of(tokens_of(s.sources[0]))[0] & {"angle", "road", "wheel"}:
                 # A command in -1..1 of a simulator, with its lock near a radian, looks alike.
-                remark = f"rad, or a command in -1..1? {size:.3g} m of it over curvature may be a wheelbase{hand}"
+                remark = (
+                    f"rad, or a command in -1..1? {size:.3g} m of it over the curvature of the path may be a "
+                    f"wheelbase{hand}"
+                )
                 return replace(s, unit=unit, status="assumed", reason=remark, **turned)
             if size * factor > _LONGEST_CAR:
                 remark = (

@@ -107,7 +107,7 @@ def _accelerations(moving: Sequence[tuple[Subject, Drive]], vehicle: Vehicle | N
         part = thinned(len(motion), _MOST_DOTS)
         x, y = motion["ay"][part], motion["ax"][part]
         series.append(ChartLine(one.name, x, y, one.role, "points", shown=one.shown))
-    note = "Each dot is a moment; braking lies below, left turns to the right."
+    note = "Each dot is a moment: braking at the bottom, left turns on the right side."
     if vehicle is not None:
         angle = np.linspace(0.0, 2.0 * np.pi, 121)
         most = vehicle.lateral_grip

@@ -87,10 +87,10 @@ def _understeer(shown: Sequence[tuple[Subject, Understeer]], missing: Sequence[s
         note += (
             " These ranges differ, since each recording holds gentle cornering of its own "
             f"(|a_y| up to {shown[0][1].limit:.1f} m/s² counts). Over different ranges one and the same car may have "
-            "different slopes."
+            "different slopes, so these do not show a difference of the cars."
         )
     if missing:
-        note += f" Too little gentle cornering: {', '.join(missing)}."
+        note += f" There is too little gentle cornering for a slope of {', '.join(missing)}."
     return Chart("understeer", "Understeer gradient", "a_y [m/s²]", "alpha_f − alpha_r [rad]", tuple(series), note)
 
 

@@ -367,10 +367,10 @@ def _would_show(diagnosis: Diagnosis) -> str:
         for one in diagnosis.detectable
     ]
     words = (
-        "<p>Each effect, beside what is identified or alone, would have been identified from about this size on. "
-        "Sizes of several parameters are each for one parameter alone. A smaller effect stays unnoticed or "
-        "unexplained, or "
-        "a similar effect is identified instead.</p>"
+        f"<p>Each effect{', beside those that are identified,' * bool(diagnosis.findings)} would have been identified "
+        "from about this size on. A gain or scale of 1 is no effect: 0.99 stands for a deviation of 1 %. Sizes of "
+        "several parameters are each for one parameter alone. A smaller effect stays unnoticed or unexplained, or a "
+        "similar effect is identified instead.</p>"
     )
     if diagnosis.verdict == "undecided":
         words += (
@@ -378,7 +378,7 @@ def _would_show(diagnosis: Diagnosis) -> str:
             "differs may hide an effect of more than this size.</p>"
         )
     unfolded = " open" if diagnosis.verdict == "match" else ""
-    listed = table(("Effect", "Detectable from"), rows)
+    listed = table(("Other effect" if diagnosis.findings else "Effect", "Detectable from"), rows)
     body = f"<details{unfolded}><summary>Effect by effect</summary>{listed}</details>"
     return section("would-show", "Smallest detectable effects", words + body)
 
