@@ -32,6 +32,7 @@ from split_cli.diagnosis.search.baselines import SearchOutcome, ends_beyond, sea
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.identifiable import identifiable, what_was_not_excited
 from split_cli.diagnosis.search.instrument_drift import with_drift_tolerances
+from split_cli.diagnosis.search.self_test import SelfTest
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, InputFile
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.verdict.detectable import detection_limits
@@ -152,7 +153,7 @@ def diagnose(
         return _match(case, found, vehicle, judged, share, not_judged, {**record, "detectable": detectable})
     progress("judging")
     theirs = case.visited(reach, policy)
-    apart = bool(case.simulated) and not _is_common(share, theirs, policy)
+    apart = bool(case.simulated) and not _is_common(share, theirs, outcome.self_test, policy)
     if apart:
         found = replace(found, outcome=with_witnessed_names(outcome), description=None)
     stated = _mismatch(case, found, policy, improved, apart=apart)
@@ -279,10 +280,11 @@ def _rows_of(recordings: Sequence[Evidence]) -> int:
     return sum(len(one.at) for one in recordings)
 
 
-def _is_common(share: float, theirs: np.ndarray, policy: Policy) -> bool:
+def _is_common(share: float, theirs: np.ndarray, tested: SelfTest, policy: Policy) -> bool:
     """Return whether both drives have enough common operating points for effects of the car to be named.
 
-    These must hold a fair share of the real drive. Of the simulation they must hold a fair share, or as many rows as a
+    What the vehicle file gets wrong depends on the driving. Unless halves of the simulation show little of that, common
+    points must hold a fair share of the real drive. Of the simulation they must hold a fair share, or as many rows as a
     decision needs: further driving of the simulation does no harm.
 
     Parameters
@@ -293,6 +295,8 @@ def _is_common(share: float, theirs: np.ndarray, policy: Policy) -> bool:
         Which rows of the simulation are near a real one.
     """
     fair = policy.selection.fair_share
+    if tested.rows and tested.ratio <= policy.selection.much_over_noise:
+        return True
     return share >= fair and bool(theirs.mean() >= fair or theirs.sum() >= policy.comparison.least_rows)
 
 
