@@ -7,9 +7,9 @@ from split_cli.workflows.report.markup import bar, bar_row, items, section, tabl
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, prose, term_title, typeset
 
 _RIVALS = (
-    "χ² is the increase of the cost with the term in place of the chosen one. Std errors is that increase over "
-    "its scatter from block to block of time. The placebo is the best term that these data exclude. If it does "
-    "nearly as well as the chosen term, believe neither."
+    "χ² is the increase of the cost with the term in place of the chosen one. Beside it stands that increase over its "
+    "standard error, from the scatter between blocks of time. The placebo is the best term that these data exclude. If "
+    "it does nearly as well as the chosen term, believe neither."
 )
 
 
@@ -90,7 +90,7 @@ def _rivals(finding: Finding) -> str:
     rows = [f'<tr class="own"><th scope=row>{own}</th><td></td><td>0</td><td></td><td>chosen</td></tr>']
     most = max(max(rival.excess, 0.0) for rival in best.values())
     rows += [_rival(finding, rival, most) for rival in best.values()]
-    heads = ("Term", "Cost above the chosen term", "χ²", "Std errors", "")
+    heads = ("Term", "Cost above the chosen term", "χ²", "χ² / standard error", "")
     return f"<h4>Other terms in its place</h4>{table(heads, rows, 'rivals')}"
 
 

@@ -45,8 +45,8 @@ _GAP = (
 _OVER_THE_DRIVE = "A zoom here restricts the maps above."
 _RESIDUAL = "Where the residual stays near 0, the identified effects explain the gap."
 _SETTINGS = (
-    "The fixed numbers of the program, the same for every recording; split_cli/diagnosis/policy.py gives unit, "
-    "meaning and origin of each."
+    "The numbers that decide are the same for every recording. diagnosis.json lists them; "
+    "split_cli/diagnosis/policy.py gives the unit, meaning and origin of each."
 )
 _AT_THE_TOP = 9
 """Sentences that a first screen holds beside the headline [1]; judgement: those of one or two findings. More stand
@@ -404,21 +404,11 @@ def _provenance(diagnosis: Diagnosis) -> str:
         f"<td><code>{escape(one.sha256)}</code></td></tr>"
         for one in diagnosis.inputs
     ]
-    settings = "".join(
-        f"<div><dt>{escape(name.replace('_', ' '))}</dt><dd>{escape(_plain(value))}</dd></div>"
-        for name, value in diagnosis.settings.items()
-    )
     names = [name for name in ("diagnosis.json", vehicle_name(diagnosis), "gap.parquet") if name]
     names += ["figures/help.csv"] if diagnosis.improvement else []
     links = " · ".join(f'<a href="{name}">{name}</a>' for name in names)
     return section(
         "read",
         "Inputs",
-        f"{table(('Role', 'File', 'SHA-256'), rows)}"
-        f'<details><summary>Settings</summary><p>{_SETTINGS}</p><dl class="settings">{settings}</dl></details>'
-        f"<p>Beside this page: {links}</p>",
+        f"{table(('Role', 'File', 'SHA-256'), rows)}<p>{_SETTINGS}</p><p>Beside this page: {links}</p>",
     )
-
-
-def _plain(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
