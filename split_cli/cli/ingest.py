@@ -162,11 +162,13 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
 
 def _tell_of_other_cars(run, vehicle_path: Path | None) -> list[Path]:
     """Say which drives look like those of another car; return their paths."""
+    from split_cli.logs.drive import open_drive
     from split_cli.vehicle.parameters import read_vehicle
     from split_cli.workflows.recordings import looks_like_another_car
 
-    faulty = [result for result in run.results if result.contradictions] if vehicle_path else []
-    said = {one.drive_path: looks_like_another_car(one.drive, read_vehicle(vehicle_path)) for one in faulty}
+    faulty = [result.drive_path for result in run.results if result.contradictions] if vehicle_path else []
+    # A long drive stays in its file.
+    said = {path: looks_like_another_car(open_drive(path), read_vehicle(vehicle_path)) for path in faulty}
     for path, text in said.items():
         if text:
             click.echo(f"WARNING: {path}: {text}", err=True)
