@@ -332,7 +332,7 @@ def diagnose(
     groups, _ = with_inputs_alike(several)
     correct = RecordingCorrection(vehicle)
     measured, held = ([correct.sensors(drive) for drive in groups[k]] for k in (0, 2))
-    diagnosis = diagnose_drives(measured, vehicle, list(groups[1]), held)
+    diagnosis = diagnose_drives(measured, vehicle, groups[1], held)
     return DiagnosisResult(diagnosis, vehicle, tuple(groups[0]), tuple(groups[1]))
 
 

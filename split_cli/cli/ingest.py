@@ -166,9 +166,11 @@ def _tell_of_other_cars(run, vehicle_path: Path | None) -> list[Path]:
     from split_cli.vehicle.parameters import read_vehicle
     from split_cli.workflows.recordings import looks_like_another_car
 
-    faulty = [result.drive_path for result in run.results if result.contradictions] if vehicle_path else []
-    # A long drive stays in its file.
-    said = {path: looks_like_another_car(open_drive(path), read_vehicle(vehicle_path)) for path in faulty}
+    faulty = [result.drive_path for result in run.results if result.contradictions]
+    if vehicle_path is None or not faulty:
+        return []
+    car = read_vehicle(vehicle_path)
+    said = {path: looks_like_another_car(open_drive(path), car) for path in faulty}  # a long drive stays in its file
     for path, text in said.items():
         if text:
             click.echo(f"WARNING: {path}: {text}", err=True)
@@ -184,13 +186,11 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None, others: Seq
 
     drives = [result.drive_path for result in run.results]
     again = _command_with_what_is_named(run)
-    faulty = [str(result.drive_path) for result in run.results if result.contradictions]
+    faulty = [result.drive_path for result in run.results if result.contradictions]
     if others:
-        names = f"{', '.join(map(str, others[:3]))}{' ...' if len(others) > 3 else ''}"
-        shared.tell_next(before=f"ingest the log of {names} again with the file of its car")
+        shared.tell_next(before=f"ingest the log of {_first_names(others)} again with the file of its car")
     elif faulty:
-        names = f"{', '.join(faulty[:3])}{' ...' if len(faulty) > 3 else ''}"
-        before = f"correct the map as `does not fit together` says of {names}, and ingest again"
+        before = f"correct the map as `does not fit together` says of {_first_names(faulty)}, and ingest again"
         shared.tell_next(again, before=f"{before}: " if again else before)
     elif drives:
         vehicle = vehicle_path or Path("VEHICLE.yaml")
@@ -215,6 +215,10 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None, others: Seq
             shared.tell_next(["split", "calibrate", *drives, "--vehicle", vehicle, *known, "-o", made], before=before)
         else:
             shared.tell_to_train(taken, vehicle, before=before)
+
+
+def _first_names(paths: Sequence[Path]) -> str:
+    return f"{', '.join(map(str, paths[:3]))}{' ...' if len(paths) > 3 else ''}"
 
 
 def _command_with_what_is_named(run) -> list[str]:
