@@ -238,7 +238,7 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
     ]
     if lacking:
         shown = ", ".join(f"{key} [{unit}]" if (unit := _unit_of(key)) else key for key in lacking)
-        advice = f"Write `{lacking[0]}: VALUE` and the like; docs/formats.md and a file of `split init` explain each."
+        advice = "Write them in SI units, as in `mass: 1500`; docs/formats.md and a file of `split init` explain each."
         raise VehicleError(f"lacks {shown}", where=where, advice=advice)
     numbers = {key: values.number(key, content[key]) for key in _NUMBERS if content.get(key) is not None}
     for key in _POSITIVE:

@@ -67,12 +67,9 @@ from split_cli.workflows.evaluation_notes import (
     sources_not_judged,
     with_measured_error,
 )
-from split_cli.workflows.other_vehicle import trained_for_another
+from split_cli.workflows.other_vehicle import CHANGED_FILE_ADVICE, trained_for_another
 from split_cli.workflows.recordings import RecordingCorrection, usable_drives, vehicle_warnings
 
-_ANOTHER_FILE = (
-    "If you changed the vehicle file on purpose, train again with it. Without --vehicle the set is judged with its own."
-)
 #: Marks a predictor whose whole correction is applied, beside one that is trusted in part.
 PLAIN = ", full trust"
 #: Marks a predictor that is trusted, at each moment, as far as the drive until then supports.
@@ -110,7 +107,7 @@ def evaluate_files(
     car = read_vehicle(vehicle) if vehicle else trained.nominal_vehicle
     if trained is not None and trained.nominal_vehicle.digest() != car.digest():
         what = trained_for_another(trained.nominal_vehicle, car)
-        raise SetError(what, where=str(set_path), advice=_ANOTHER_FILE)
+        raise SetError(what, where=str(set_path), advice=CHANGED_FILE_ADVICE)
     failures: tuple[str, ...] = ()
     known: dict[Path, Drive] = {}
     paths = [Path(path) for path in drives]

@@ -4,6 +4,11 @@ from dataclasses import replace
 
 from split_cli.vehicle.parameters import Vehicle, vehicle_to_mapping
 
+#: What to do where a set that is judged was trained with another vehicle file.
+CHANGED_FILE_ADVICE = (
+    "If you changed the vehicle file on purpose, train again with it. Without --vehicle the set is judged with its own."
+)
+
 
 def trained_for_another(trained: Vehicle, given: Vehicle) -> str:
     """Return what to say of a set that was trained for one vehicle and is asked for another."""
